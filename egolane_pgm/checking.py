@@ -205,7 +205,7 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
         raise InputError(f"step: {step} is not a share of the search range (0 to 1)")
     result = single_drive(result)
     model, start = result.model, _scores(result, result.model)
-    of_rule, rows = getattr(model.rule, "PARAMETERS", ()), {}
+    of_rule, rows = model.rule.parameters, {}
     for spec in bar(declared_parameters(model.rule, model.graph), unit="parameter"):
         # A whole number may change the shape of the network.
         is_number = spec.kind != "integer" and not isinstance(model.parameters[spec.name], str)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.contracts import Rule
 from egolane_pgm.drives import drive_key
 from egolane_pgm.experiment import DETECTOR
 from egolane_pgm.plugins import OWN_FILES, load_plugin
@@ -114,7 +115,7 @@ def open_results(results: Any) -> list[Result]:
             result = as_result(each, "results")
             if result is not each:
                 result = result if each.held_out is None else each.held_out
-                name = {"name": each.experiment()["name"]}
+                name = {"name": each.experiment.name}
                 result = replace(result, experiment=result.experiment.model_copy(update=name))
             found.append(result)
             continue
@@ -303,8 +304,8 @@ def _by_frame(result: Result) -> pd.Series[float]:
 def _evidence_key(result: Result) -> str:
     """A text that is equal for results with the same evidence, up to their graphs."""
     e, run = result.experiment, result.run
-    rule = load_plugin("evidence", e.evidence, f"{result.name}: evidence")
-    names = {spec.name for spec in getattr(rule, "PARAMETERS", ())}
+    rule = load_plugin(Rule, e.evidence, f"{result.name}: evidence")
+    names = {spec.name for spec in rule.parameters}
     fits = [run["config"]["parameters"], *run.get("fitted", ())]
     own = [{k: v for k, v in each.items() if k in names or DETECTOR in k} for each in fits]
     source = Path(e.evidence).read_text() if e.evidence.endswith(OWN_FILES) else e.evidence

@@ -6,8 +6,6 @@ with a constant number of lanes (`n_lanes: map`). Everything that runs, fits or 
 
 from __future__ import annotations
 
-import hashlib
-import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,13 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment, make_experiment
+from egolane_pgm.contracts import Reader
+from egolane_pgm.experiment import FROM_MAP, Experiment, TunedOn, make_experiment
+from egolane_pgm.identity import Marks, marks_of, origin_on
 from egolane_pgm.loading import IN_MEMORY, existing
 from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model, with_inputs
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.recordings import files_of, format_of, read_lines, reader_of
+from egolane_pgm.recordings import format_of, read_lines, reader_of
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
     fill_missing,
@@ -33,7 +33,6 @@ from egolane_pgm.recordings.select import (
     sign_warning,
 )
 from egolane_pgm.recordings.table import lines_of
-from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import (
     NOT_ANNOTATED,
     BoolArray,
@@ -59,6 +58,7 @@ class Drive:
     - log: lines, after frame selection and `missing_frames`.
     - true_lane (T,): 1 (leftmost) to n, NOT_ANNOTATED (0) if unknown.
     - is_crossing (T,): marks frames in which the car changes lanes.
+    - marks: of the whole recording.
     - tags: labels to group drives by.
     """
 
@@ -67,6 +67,7 @@ class Drive:
     log: LineLog
     true_lane: IntArray
     is_crossing: BoolArray
+    marks: Marks
     tags: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -97,6 +98,15 @@ class Drive:
         for first, stop in self.experiment.fit.untrusted_frames:
             trusted &= (frame_id < first) | (frame_id >= (np.inf if stop is None else stop))
         return trusted
+
+    def tuned_on(self, frames: slice | IntArray = slice(None)) -> TunedOn:
+        """Compare what the model was tuned on with some annotated frames, indices into rows."""
+        origins = self.experiment.tuned_on, self.model.learned_from
+        return origin_on(origins, self.marks, self.frame_ids(frames))
+
+    def frame_ids(self, frames: slice | IntArray = slice(None)) -> IntArray:
+        """The ids of some annotated frames, indices into rows."""
+        return self.log.frame_id[self.rows[frames]]
 
     def mask_labels(self, train: IntArray) -> Drive:
         """The drive without the labels of all annotated frames but `train` (indices into rows).
@@ -178,14 +188,14 @@ def check_sources(experiment: Experiment) -> None:
         existing(experiment, "road")
 
 
-def check_file(experiment: Experiment) -> tuple[Path, Any]:
+def check_file(experiment: Experiment) -> tuple[Path, Reader | None]:
     """The file of lines, and the user's own reader of its format, if there is one.
 
     Raises InputError for a file that is missing and for an unknown format.
     """
     recording, where = experiment.recording, f"{experiment.source}: recording.format"
     format = recording.format or ""
-    reader = load_plugin("recordings", format, where) if format.endswith(".py") else None
+    reader = load_plugin(Reader, format, where) if format.endswith(".py") else None
     path = existing(experiment, "recording.path")
     if recording.camera is not None:
         existing(experiment, "recording.camera")
@@ -214,7 +224,6 @@ def read_drives(
     """
     # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
-    experiment = experiment if model is None else model.experiment
     log, known, own_rate = read_recording(
         with_inputs(experiment, model.graph if model else None), lines
     )
@@ -231,6 +240,7 @@ def read_drives(
         note = f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
         note += f" with recording.frame_rate, {recording.frame_rate:g}"
         warnings.warn(note, UserWarning, stacklevel=2)
+    marks = marks_of(log, known)
     log = select_frames(log, *(recording.frames or (None, None)))
     if known is not None and log.clip is not None:
         raise InputError(f"{log.source}: clips have no ground truth; leave out ground_truth")
@@ -241,17 +251,25 @@ def read_drives(
         if recording.missing_frames != "skip":
             clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
         if model is None:
-            drives += cut(name, experiment, clip, known)
+            drives += cut(name, experiment, clip, known, marks)
         else:
-            drives.append(make_drive(name, replace(model, experiment=experiment), clip, known))
+            here = replace(model, experiment=experiment)
+            drives.append(make_drive(name, here, clip, known, marks))
     return [replace(drive, tags=dict(tags or {})) for drive in drives]
 
 
 def make_drive(
-    name: str, model: Model, log: LineLog, truth: pd.DataFrame | None, *, most_lanes: int = 0
+    name: str,
+    model: Model,
+    log: LineLog,
+    truth: pd.DataFrame | None,
+    marks: Marks,
+    *,
+    most_lanes: int = 0,
 ) -> Drive:
     """Join a log with its ground truth, and warn of oddities.
 
+    - marks: of the whole recording.
     - most_lanes: for a segment of a longer road, the lanes of the widest segment. A lane may end
       some metres from its position in the map, so the truth may contain a lane that the segment
       does not have; and a segment may have no annotated frame.
@@ -282,10 +300,12 @@ def make_drive(
             notes.append(f"{log.source}: {unscored}")
     for note in notes:
         warnings.warn(note, UserWarning, stacklevel=2)
-    return Drive(name, model, log, lane, crossing)
+    return Drive(name, model, log, lane, crossing, marks)
 
 
-def cut(name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | None) -> list[Drive]:
+def cut(
+    name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | None, marks: Marks
+) -> list[Drive]:
     """One drive per segment of road with a constant number of lanes; each starts from the prior."""
     road = load_road(existing(experiment, "road"))
     n_lanes = lanes_along(road, log)
@@ -297,14 +317,16 @@ def cut(name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | N
     }
     segments = np.split(np.arange(len(log)), np.flatnonzero(np.diff(n_lanes)) + 1)
     return [
-        make_drive(f"{name}_{k}", models[n_lanes[at[0]]], log.take(at), truth, most_lanes=widest)
+        make_drive(
+            f"{name}_{k}", models[n_lanes[at[0]]], log.take(at), truth, marks, most_lanes=widest
+        )
         for k, at in enumerate(segments, start=1)
     ]
 
 
 def changed(experiment: Experiment, **changes: Any) -> Experiment:
     """The experiment with other values, checked; a section keeps its other keys."""
-    content = experiment.model_dump(exclude_unset=True)
+    content = experiment.keys
     for key, value in changes.items():
         content[key] = {**content[key], **value} if isinstance(value, Mapping) else value
     return make_experiment(content, experiment.source)
@@ -324,29 +346,6 @@ def drive_names(drives: Iterable[Drive]) -> list[str]:
         f"{name}_{names[:k].count(name) + 1}" if names.count(name) > 1 else name
         for k, name in enumerate(names)
     ]
-
-
-# --- the files of an experiment ------------------------------------------------------------------
-
-
-def data_files(experiment: Experiment) -> list[Path]:
-    """The files that an experiment names, plugins included."""
-    recording, truth = experiment.recording, experiment.ground_truth
-    named = [recording.path, recording.right, recording.camera, truth and truth.path]
-    named += [experiment.road, experiment.evidence, experiment.graph, recording.format]
-    named += [recording.detector, *experiment.parameters.get(DETECTOR, {}).values()]
-    return [Path(name) for name in named if isinstance(name, str) and os.path.isabs(name)]
-
-
-def digest(path: Path) -> dict[str, Any]:
-    """Path, sha256 and size in bytes of a file, of a folder or of a glob of files."""
-    if path.is_file():
-        return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
-    files = files_of(path) if path.is_dir() else sorted(path.parent.glob(path.name))
-    lines = "".join(f"{file_sha256(file)}  {file.name}\n" for file in files)
-    size = sum(file.stat().st_size for file in files)
-    sha256 = hashlib.sha256(lines.encode()).hexdigest()
-    return {"path": str(path), "sha256": sha256, "bytes": size, "files": len(files)}
 
 
 def drive_key(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:

@@ -9,6 +9,7 @@ import functools
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
@@ -18,6 +19,8 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    InstanceOf,
+    PlainSerializer,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -28,6 +31,7 @@ from pydantic import (
 )
 from typing_extensions import TypedDict
 
+from egolane_pgm.contracts import Graph
 from egolane_pgm.types import MAX_LANES, InputError, near_word
 
 #: What an experiment keeps for `n_lanes: map`.
@@ -46,6 +50,11 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return tuple(map(plain, value))
     return os.fspath(value) if isinstance(value, os.PathLike) else value
+
+
+def _graph_keys(graph: str | Graph) -> Any:
+    """The name of a graph, or the content of one in memory."""
+    return graph.keys if isinstance(graph, Graph) else graph
 
 
 def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
@@ -68,6 +77,29 @@ def _check_strength(value: Any) -> Any:
         raise ValueError("needs a number greater than 0, at most 1e9, or one by name of the node")
     return value
 
+
+#: What a model was tuned on, from held out to in-sample: nothing, another drive, other frames of
+#: the drive that is scored, unknown frames, its frames as another detector saw them, or its frames.
+TunedOn = Literal[
+    "not_tuned", "other_drive", "other_frames", "unknown", "same_drive", "same_frames"
+]
+
+
+@dataclass(frozen=True)
+class TrainedOn:
+    """The drive that a fit was trained on, as `tune` and `learn` write it.
+
+    - lines, labels: some marks of the whole recording, see `identity.marks_of`.
+    - frames: frame ids of the training frames: first, and the one after the last, of each range.
+    """
+
+    lines: str
+    labels: str
+    frames: tuple[tuple[int, int], ...]
+
+
+#: What the author of an experiment states, or what its fit was trained on.
+Origin = TunedOn | Annotated[tuple[TrainedOn, ...], WithJsonSchema({"type": "array"})]
 
 #: A number greater than 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -363,7 +395,11 @@ class Experiment(Section):
         " own",
         examples=["line_geometry", "./my_evidence.py"],
     )
-    graph: str = Field(
+    graph: Annotated[
+        str | InstanceOf[Graph],
+        PlainSerializer(_graph_keys),
+        WithJsonSchema({"type": "string"}),
+    ] = Field(
         default="sensor_failure",
         description="the network: a name (`egolane show`) or a file of your own",
         examples=["position_in_lane", "./my_graph.py"],
@@ -405,10 +441,11 @@ class Experiment(Section):
         " and in `detector` of the detector; others keep their defaults",
         examples=[{"sigma1": 0.35, "bonus_value": 9}, {"detector": {"every": 2}}],
     )
-    tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
+    tuned_on: Origin = Field(
         default="unknown",
         description="frames used to tune the parameters, printed with every score: the scored"
-        " frames (`same_frames`: in-sample), others only, or none",
+        " frames (`same_frames`: in-sample), others only, or none; `tune` and `learn` write what"
+        " they were trained on, which is compared with the frames of each run",
     )
     fit: FitSettings = Field(
         default=FitSettings(), description="settings of `tune`, `learn` and held-out runs"
@@ -479,6 +516,17 @@ class Experiment(Section):
         return hash((self.name, self.graph, self.evidence))
 
     @property
+    def keys(self) -> dict[str, Any]:
+        """The keys that are set, as `make_experiment` takes them."""
+        content = self.model_dump(exclude_unset=True)
+        return {**content, "graph": self.graph} if "graph" in content else content
+
+    @property
+    def graph_name(self) -> str:
+        """The name of the graph."""
+        return self.graph if isinstance(self.graph, str) else self.graph.name
+
+    @property
     def source(self) -> str:
         """The YAML file, for messages."""
         return self._source
@@ -525,6 +573,7 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
     content = experiment.model_dump(mode="json", exclude={"fit"}, exclude_none=True)
     if experiment.n_lanes == FROM_MAP:
         content["n_lanes"] = "map"
+    content["graph"] = experiment.graph_name
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -111,7 +111,7 @@ def load_experiment(
 def _read(experiment: ExperimentLike) -> tuple[dict[str, Any], str]:
     """The keys of an experiment, with absolute paths, and its source for messages."""
     if isinstance(experiment, Experiment):
-        return experiment.model_dump(exclude_unset=True), experiment.source
+        return experiment.keys, experiment.source
     if isinstance(experiment, Mapping):
         content = without_version(nest(experiment), "experiment")
         return absolute(content, Path.cwd()), "experiment"
@@ -133,11 +133,16 @@ def _on_lines(content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any]
     if "n_lanes" not in changes and (recording.get("simulate") or content.get("road")):
         raise InputError(f"n_lanes: is missing: give the number of lanes of the road of {path}")
     kept = {key: value for key, value in content.items() if key not in RECORDING_KEYS}
-    if kept.get("tuned_on") == "same_frames" and path != recording.get("path"):
-        kept["tuned_on"] = "other_frames"
+    if isinstance(kept.get("tuned_on"), str) and path != recording.get("path"):
+        kept["tuned_on"] = on_other_lines(kept["tuned_on"])
     if DETECTOR in (kept.get("parameters") or {}):
         kept["parameters"] = {k: v for k, v in kept["parameters"].items() if k != DETECTOR}
     return {**kept, "name": name, "recording": {"path": path}}
+
+
+def on_other_lines(tuned_on: Any) -> Any:
+    """What `tuned_on` of an experiment is on other lines, which may be a copy of its own."""
+    return tuned_on if tuned_on == "not_tuned" else "unknown"
 
 
 def safe_name(text: str) -> str:

@@ -1,8 +1,7 @@
-"""Find and import plugins: graphs, evidence rules, readers and detectors.
+"""Find plugins (graphs, evidence rules, detectors, readers), and read their contracts.
 
-A plugin is a module that defines the names of its folder's contract (`tables`, `evidence`, ...):
-one of this package, by name, or a user's file. A graph may also be a file that pgmpy reads, or
-Python with a pgmpy network at its top level, which `build` then returns.
+A plugin is a module of this package, by name, or a user's file. A graph may also be a file that
+pgmpy reads, or Python with a pgmpy network at its top level.
 """
 
 from __future__ import annotations
@@ -11,24 +10,25 @@ import contextlib
 import functools
 import hashlib
 import importlib
+import inspect
 import os
 import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from types import ModuleType
+from typing import Any, TypeVar, get_args, get_type_hints
 
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from typing_extensions import is_protocol
+
+from egolane_pgm.contracts import Graph, Plugin, Rule
 from egolane_pgm.parameters import Parameter
-from egolane_pgm.types import InputError, suggestion
+from egolane_pgm.types import InputError, near_word, suggestion
 
-#: The names that a module of each folder must define; of `a|b` one is needed.
-CONTRACTS = {
-    "graphs": ("tables|build",),
-    "evidence": ("evidence",),
-    "recordings": ("read",),
-    "detectors": ("STEREO", "start"),
-}
+AnyPlugin = TypeVar("AnyPlugin", bound=Plugin)
 
 _PACKAGE = Path(__file__).parent
 
@@ -38,40 +38,43 @@ _OWN = "_egolane_plugin_"
 #: The suffixes of users' files.
 OWN_FILES = (".py", ".yaml", ".yml", ".bif", ".xmlbif", ".xml")
 
+#: The fields that a module does not define.
+_OF_FILE = ("name", "file", "about", "is_ours", "keys")
 
-def plugin_names(folder: str) -> list[str]:
-    """List the plugins of a kind (a key of CONTRACTS)."""
-    return sorted(_modules(folder))
+
+def plugin_names(kind: type[Plugin]) -> list[str]:
+    """List the plugins of this package of a kind."""
+    return sorted(_modules(kind.folder, kind.marks))
 
 
 @functools.cache
-def _modules(folder: str) -> dict[str, str]:
+def _modules(folder: str, marks: str) -> dict[str, str]:
     """Return the module of each plugin of this package.
 
-    A module is a plugin if it defines the first name of the contract, a folder if its `__all__` has
-    that name. Files are searched as text, because importing them all is slow.
+    A module is a plugin if it defines one of the marks of its kind, a folder if its `__all__` has
+    one. Files are searched as text, because importing them all is slow.
     """
-    first, found = CONTRACTS[folder][0], {}
+    found = {}
     for place in ("vision/detectors", "classic") if folder == "detectors" else (folder,):
         for file in (*_PACKAGE.glob(f"{place}/*.py"), *_PACKAGE.glob(f"{place}/*/__init__.py")):
             is_folder = file.name == "__init__.py"
             text = file.read_text(encoding="utf-8")
-            if f'"{first}"' in text if is_folder else _defines(text, first):
+            if f'"{marks}"' in text if is_folder else _defines(text, marks):
                 name = file.parent.name if is_folder else file.stem
                 found[name] = ".".join(("egolane_pgm", *place.split("/"), name))
     return found
 
 
-def _defines(text: str, name: str) -> bool:
-    return re.search(rf"^(def )?({name})\b", text, re.MULTILINE) is not None
+def _defines(text: str, marks: str) -> bool:
+    return re.search(rf"^(def )?({marks})\b", text, re.MULTILINE) is not None
 
 
-def find_plugin(name: str, kinds: Mapping[str, str]) -> tuple[str, str]:
+def find_plugin(name: str, kinds: Mapping[str, type[Plugin]]) -> tuple[str, str]:
     """Return the kind of a plugin, and its name without the kind.
 
     - name: as for `load_plugin`, optionally with its kind: `evidence:./mine.py`. Without it a file
       that meets several contracts is of the first kind.
-    - kinds: the folder of each kind.
+    - kinds: by name.
 
     Raises InputError for an unknown name.
     """
@@ -80,70 +83,120 @@ def find_plugin(name: str, kinds: Mapping[str, str]) -> tuple[str, str]:
         return kind, rest
     if name.endswith(".py") and Path(name).is_file():
         text = Path(name).read_text(encoding="utf-8", errors="replace")
-        found = [kind for kind in kinds if _defines(text, CONTRACTS[kinds[kind]][0])]
+        found = [word for word, kind in kinds.items() if _defines(text, kind.marks)]
     else:
-        found = [kind for kind in kinds if name in _modules(kinds[kind])]
+        found = [word for word, kind in kinds.items() if name in plugin_names(kind)]
     if found or name.endswith(OWN_FILES) or (Path(name).suffix and Path(name).is_file()):
         return (found or ["graph"])[0], name
-    known = [known for folder in kinds.values() for known in _modules(folder)]
+    known = [known for kind in kinds.values() for known in plugin_names(kind)]
     raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
 
 
-def load_plugin(folder: str, name: str, where: str) -> ModuleType:
-    """Import a plugin.
+def load_plugin(kind: type[AnyPlugin], given: str | AnyPlugin, where: str) -> AnyPlugin:
+    """Load a plugin, by its name or from a file.
 
-    - folder: a key of CONTRACTS.
-    - name: a plugin of that folder, or a file (.py; for a graph any of OWN_FILES).
+    - given: a plugin of this package, or a file (.py; for a graph any of OWN_FILES). A plugin
+      itself is returned.
     - where: prefix of messages, e.g. the YAML file and the key.
 
     Raises InputError for an unknown name, a missing file, a file that cannot be imported and one
     that does not meet the contract.
     """
-    # `resolve` raises for a link to itself.
-    file = Path(os.path.realpath(name))
-    is_file = name.endswith(OWN_FILES if folder == "graphs" else ".py")
-    if is_file and not file.is_file():
-        raise InputError(f"{where}: no file {file}")
-    if name.endswith(".py"):
-        module = _load_file(file, where)
-        if folder == "graphs" and not {"tables", "build"} & {*vars(module)}:
-            _build_from_network(module, f"{where}: {name}")
-    elif is_file:
+    if isinstance(given, kind):
+        return given
+    name, is_graph = str(given), issubclass(kind, Graph)
+    if name.endswith(OWN_FILES if is_graph else ".py"):
+        # `resolve` raises for a link to itself.
+        file = Path(os.path.realpath(name))
+        if not file.is_file():
+            raise InputError(f"{where}: no file {file}")
+        if name.endswith(".py"):
+            return read_module(kind, _load_file(file, where), name, where)
         # Graphs are above this module in the layers.
         reader = "yaml_graph" if name.endswith((".yaml", ".yml")) else "from_pgmpy"
-        graphs = importlib.import_module(f"egolane_pgm.graphs.{reader}")
-        module = graphs.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
-    elif name in (known := _modules(folder)):
-        module = importlib.import_module(known[name])
-    elif Path(name).suffix and file.is_file():
-        kinds = ", ".join(OWN_FILES if folder == "graphs" else (".py",))
+        read = importlib.import_module(f"egolane_pgm.graphs.{reader}").load_graph_file
+        found: AnyPlugin = read(file, name, where)
+        return found
+    if name in (known := _modules(kind.folder, kind.marks)):
+        return read_module(kind, importlib.import_module(known[name]), name, where)
+    if Path(name).suffix and Path(name).is_file():
+        kinds = ", ".join(OWN_FILES if is_graph else (".py",))
         advice = "; export BIF from GeNIe" if name.endswith(".xdsl") else ""
-        raise InputError(f"{where}: {name} is none of {kinds}{advice}")
-    else:
-        raise InputError(f"{where}: unknown name '{name}'{suggestion(name, known)}")
-    for needed in CONTRACTS[folder]:
-        if not any(hasattr(module, name) for name in needed.split("|")):
-            raise InputError(f"{where}: {name} does not define {needed}")
-    specs = getattr(module, "PARAMETERS", ())
-    if not isinstance(specs, (tuple, list)) or not all(isinstance(s, Parameter) for s in specs):
-        raise InputError(f"{where}: {name}: PARAMETERS is not a tuple of Parameter")
-    return module
+        raise InputError(f"{where}: {name} is not one of {kinds}{advice}")
+    raise InputError(f"{where}: unknown name '{name}'{suggestion(name, known)}")
 
 
-def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
+def declared_parameters(rule: Rule, graph: Graph) -> list[Parameter]:
     """Return the parameters of an evidence rule and a graph; both may declare the same one."""
-    both = (*getattr(rule, "PARAMETERS", ()), *getattr(graph, "PARAMETERS", ()))
-    return list({spec.name: spec for spec in both}.values())
+    return list({spec.name: spec for spec in (*rule.parameters, *graph.parameters)}.values())
 
 
-def _build_from_network(module: ModuleType, where: str) -> None:
-    """Add a `build` that returns the pgmpy network at the module's top level.
+# --- modules -------------------------------------------------------------------------------------
 
-    Raises InputError for a module with no network or several.
+
+def read_module(kind: type[AnyPlugin], module: ModuleType, name: str, where: str) -> AnyPlugin:
+    """Read the fields of a contract from a module.
+
+    Raises InputError for a missing or misspelt name, a value of another type, and a function that
+    does not take its arguments.
     """
+    given, where, values = vars(module), f"{where}: {name}", {}
+    is_ours = module.__name__.startswith("egolane_pgm.")
+    # A function has its field's name, a value is in capitals.
+    protocols = _protocols(kind)
+    own = [f for f in fields(kind) if f.name not in _OF_FILE]
+    names = {f.name: f.name if f.name in protocols else f.name.upper() for f in own}
+    for word in given if not is_ours else ():
+        if word.isupper() and word not in names.values() and near_word(word, names.values()):
+            raise InputError(f"{where}: unknown name {word}{near_word(word, names.values())}")
+    for field in own:
+        word = names[field.name]
+        if word in given:
+            check = _check_function if field.name in protocols else _checked
+            values[field.name] = check(kind, field, given[word], f"{where}: {word}")
+        elif field.default is MISSING:
+            raise InputError(f"{where} does not define {word}")
+    if issubclass(kind, Graph) and not {"tables", "build"} & {*values}:
+        values["build"] = functools.partial(same, _network_in(given, where))
+    about = module.__doc__ or ""
+    return kind(name=name, file=str(module.__file__), about=about, is_ours=is_ours, **values)
+
+
+def _protocols(kind: type[Plugin]) -> dict[str, Any]:
+    """The protocol of each function of a contract, by its field."""
+    hints = {name: (hint, *get_args(hint)) for name, hint in get_type_hints(kind).items()}
+    return {name: each for name, parts in hints.items() for each in parts if is_protocol(each)}
+
+
+@functools.cache
+def _adapter(hint: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(hint, config=ConfigDict(arbitrary_types_allowed=True))
+
+
+def _checked(kind: type[Plugin], field: Field[Any], value: Any, where: str) -> Any:
+    """Return a value of its field's type; lists become tuples."""
+    try:
+        return _adapter(get_type_hints(kind)[field.name]).validate_python(value)
+    except ValidationError:
+        raise InputError(f"{where}: needs {field.type}, got {value!r:.100}") from None
+
+
+def _check_function(kind: type[Plugin], field: Field[Any], value: Any, where: str) -> Any:
+    """Return a function that can be called as its protocol is."""
+    called = inspect.signature(_protocols(kind)[field.name].__call__).parameters.values()
+    needed = [each.name for each in called if each.kind is each.POSITIONAL_ONLY][1:]
+    try:
+        inspect.signature(value).bind(*needed)
+    except (TypeError, ValueError):
+        raise InputError(f"{where}: needs a function of ({', '.join(needed)})") from None
+    return value
+
+
+def _network_in(given: Mapping[str, Any], where: str) -> Any:
+    """Return the pgmpy network among the values of a module; InputError unless there is one."""
     found = {
         id(value): (name, value)
-        for name, value in vars(module).items()
+        for name, value in given.items()
         if hasattr(value, "get_cpds") and not isinstance(value, type)
     }
     if len(found) != 1:
@@ -151,7 +204,12 @@ def _build_from_network(module: ModuleType, where: str) -> None:
         has = f"and has {len(found)} pgmpy networks ({names})" if found else "nor a pgmpy network"
         raise InputError(f"{where} defines neither tables nor build, {has} at its top level")
     [(_, network)] = found.values()
-    vars(module)["build"] = lambda n_lanes, parameters: network
+    return network
+
+
+def same(found: Any, n_lanes: int, parameters: Any) -> Any:
+    """Return the same tables, or network, for all parameters."""
+    return found
 
 
 def _load_file(path: Path, where: str) -> ModuleType:
@@ -163,7 +221,7 @@ def _load_file(path: Path, where: str) -> ModuleType:
         module = sys.modules[name] = ModuleType(name)
         module.__file__ = str(path)
         try:
-            with plugin_errors(module, where):
+            with plugin_errors(str(path), where):
                 # An import would write __pycache__, and miss a change within the same second.
                 exec(compile(source, path, "exec"), vars(module))
         except InputError:
@@ -173,17 +231,19 @@ def _load_file(path: Path, where: str) -> ModuleType:
 
 
 @contextlib.contextmanager
-def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
+def plugin_errors(plugin: Plugin | str, where: str) -> Iterator[None]:
     """Turn an exception of a user's plugin into an InputError with its file and line.
 
-    Exceptions of this package's plugins are bugs and pass.
+    - plugin: itself, or its file. Exceptions of this package's plugins are bugs and pass.
     """
     try:
         yield
     except Exception as error:
-        if isinstance(error, InputError) or module.__name__.startswith("egolane_pgm."):
+        file = plugin if isinstance(plugin, str) else plugin.file
+        is_ours = isinstance(plugin, Plugin) and plugin.is_ours
+        if isinstance(error, InputError) or is_ours:
             raise
         frames = traceback.extract_tb(error.__traceback__)
-        lines = [f", line {f.lineno}" for f in frames if f.filename == module.__file__]
-        at = f"{module.__file__}{lines[-1] if lines else ''}"
+        lines = [f", line {f.lineno}" for f in frames if f.filename == file]
+        at = f"{file}{lines[-1] if lines else ''}"
         raise InputError(f"{where}: {at}: {type(error).__name__}: {error}") from error

@@ -7,7 +7,6 @@ directory with it is complete.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -16,15 +15,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
+from egolane_pgm.contracts import Graph
+from egolane_pgm.drives import Drive, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
+from egolane_pgm.identity import data_files, digest, digest_of, most_in_sample
 from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
@@ -215,12 +215,15 @@ class Result:
         return place
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:
-        """Write the lines and copy the user's own plugins; return the config that names them."""
-        config = dict(self.run["config"])
-        for key in ("evidence", "graph"):
+        """Write the lines and a graph in memory, and copy the user's own plugins; return the config
+        that names them."""
+        config, e = dict(self.run["config"]), self.experiment
+        for key, plugin in (("evidence", e.evidence), ("graph", e.graph)):
             # A loaded result has copies of its plugins, which its experiment names.
-            plugin = getattr(self.experiment, key)
-            if plugin.endswith(OWN_FILES):
+            if isinstance(plugin, Graph):
+                write_yaml(place / "graph.yaml", plugin.keys or {})
+                config[key] = "./graph.yaml"
+            elif plugin.endswith(OWN_FILES):
                 copy = f"{key}_{Path(plugin).name.removeprefix(f'{key}_')}"
                 if Path(plugin) != place.absolute() / copy:
                     shutil.copyfile(plugin, place / copy)
@@ -314,18 +317,10 @@ def stored(
     try:
         run = json.loads((directory / "run.json").read_text())
         found = run["identity"], run["tags"], run.get("blocks")
-        data = [digest(path) for path in data_files(experiment)]
-        is_same = found == (identity(experiment, data), dict(tags), n_blocks)
+        is_same = found == (digest_of(experiment), dict(tags), n_blocks)
         return load_result(directory) if is_same else None
     except (OSError, ValueError, KeyError):
         return None
-
-
-def identity(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
-    """A checksum of the config, the content of the files and the version."""
-    config = experiment.model_dump(mode="json", exclude={"fit"}) | {"fit": experiment.fit.method}
-    content = config, [entry["sha256"] for entry in data], metadata.version("egolane-pgm")
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 # --- the table of frames -------------------------------------------------------------------------
@@ -442,7 +437,7 @@ def make_result(
     run = {
         "name": e.name,
         "config": resolved(e, model.parameters),
-        "identity": identity(experiment, data),
+        "identity": digest_of(experiment),
         "data": data,
         "versions": versions(),
         "git": git_state(),
@@ -453,7 +448,7 @@ def make_result(
         "observed": [str(key) for key in model.compiled.observed],
         "free_parameters": model.free_parameters,
         "frames": len(frames),
-        "tuned_on": model.experiment.tuned_on,
+        "tuned_on": most_in_sample(drive.tuned_on() for drive in drives),
         "is_causal": not reasons,
         "why_not_causal": reasons,
         "tags": dict(first.tags),

@@ -28,6 +28,7 @@ from egolane_pgm.loading import (
     load_experiment,
     merge,
     nest,
+    on_other_lines,
     parse_overrides,
     safe_name,
 )
@@ -238,19 +239,15 @@ def open_input(
     lines, truth = None, ground_truth
     if experiment is not None and not is_lines(given):
         raise InputError(f"experiment: goes with a recording of lines, which {given} is not")
-    fitted = None
     if not isinstance(given, Result) and hasattr(given, "in_sample"):
         if len(given.experiments) > 1:
             raise InputError(f"{given.name}: a study of several recordings can be a graph only")
-        fitted = make_experiment(given.experiment(), given.name)
-        is_learned = graph is None and given.model.learned_from is not None
-        graph, given = given if is_learned else graph, given.in_sample
+        given = replace(given.in_sample, experiment=given.experiment)
     if isinstance(given, Result):
-        found = given.experiment if fitted is None else fitted
-        if found.recording.path == IN_MEMORY:
+        if given.experiment.recording.path == IN_MEMORY:
             lines = LineLog.concat([*given.lines.values()])
             truth = given.truth if truth is None else truth
-        given = found
+        given = given.experiment
     of_recording = {key: value for key, value in (recording or {}).items() if value}
     options: dict[str, Any] = {"recording": of_recording} if of_recording else {}
     name = os.fspath(truth) if isinstance(truth, (str, os.PathLike)) else None
@@ -263,11 +260,7 @@ def open_input(
     else:
         loaded = load_experiment(given, changes, n_lanes=n_lanes)
     if graph is not None:
-        from egolane_pgm.studies.graph_file import graph_named
-
-        loaded = with_graph(loaded, graph_named(graph, loaded))
-    if fitted is not None:
-        loaded = loaded.model_copy(update={"tuned_on": fitted.tuned_on})
+        loaded = with_graph(loaded, graph)
     in_memory = None if isinstance(lines, (str, os.PathLike)) else lines
     # A file is in the experiment; "none" also drops the truth that a simulated drive has.
     return Input(loaded, in_memory, truth if name in (None, "none") else None)
@@ -298,7 +291,7 @@ def run_input(
 
     with noting() as notes:
         drives = given.drives()
-    return run_held_out(drives, n_blocks, notes=notes)
+    return run_held_out(experiment, drives, n_blocks, notes=notes)
 
 
 # --- tables of runs ------------------------------------------------------------------------------
@@ -340,9 +333,7 @@ def _read_csv(path: Path) -> pd.DataFrame:
 
 
 def table_inputs(
-    experiment: ExperimentLike,
-    table: str | os.PathLike[str] | pd.DataFrame,
-    overrides: Overrides = None,
+    experiment: ExperimentLike, table: str | os.PathLike[str] | pd.DataFrame
 ) -> list[Input]:
     """One run per row of a table of runs.
 
@@ -352,14 +343,14 @@ def table_inputs(
 
     Raises InputError, naming the row, for a row that does not fit and for two of the same name.
     """
-    base = load_experiment(experiment, overrides)
+    base = load_experiment(experiment)
     rows, folder = read_runs(table)
     found: dict[str, Input] = {}
     for number, row in enumerate(rows, start=1):
         where = f"{base.source}: row {number}"
         tags = {key.removeprefix(TAG): str(v) for key, v in row.items() if key.startswith(TAG)}
         changes = absolute(nest({k: v for k, v in row.items() if not k.startswith(TAG)}), folder)
-        content = base.model_dump(exclude_unset=True)
+        content = base.keys
         name = f"{base.name}_{number}"
         if "path" in changes.get("recording", {}):
             content = {k: v for k, v in content.items() if k not in ("ground_truth", "road")}
@@ -367,8 +358,8 @@ def table_inputs(
             content["recording"] = kept
             path = Path(changes["recording"]["path"])
             name = f"{path.parent.name}_{path.stem}"
-            if content.get("tuned_on") == "same_frames" and str(path) != base.recording.path:
-                content["tuned_on"] = "other_frames"
+            if isinstance(content.get("tuned_on"), str) and str(path) != base.recording.path:
+                content["tuned_on"] = on_other_lines(content["tuned_on"])
         name = safe_name(str(row.get("name", name)))
         if name in found:
             raise InputError(f"{where}: another row has the name {name}; add a column `name`")

@@ -11,11 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from egolane_pgm.studies.graph_file import graph_yaml
 
 import egolane_pgm as ego
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.online import online, read_messages
-from egolane_pgm.studies.graph_file import graph_yaml
 from tests.kits.bags import line_bag
 from tests.kits.drives import done, log_with_gaps, refused, short_drive, write_drive
 from tests.kits.streams import messages

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Graph
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import (
     compile_model,
@@ -93,7 +94,7 @@ def test_new_parameters_are_as_good_as_a_new_model(graph: str) -> None:
         compile_model(load_experiment(simulated(), {"graph": graph, "parameters": parameters}))
         for parameters in ({}, given)
     )
-    specs = [*model.rule.PARAMETERS, *model.graph.PARAMETERS]
+    specs = [*model.rule.parameters, *model.graph.parameters]
     known = {spec.name for spec in specs}
     given = {name: value for name, value in given.items() if name in known}
     quick = with_parameters(model, resolve_parameters(specs, given, 4))
@@ -114,8 +115,8 @@ def test_a_model_is_pickled_with_its_plugins() -> None:
 
 def test_every_graph_gets_an_evidence_rule_that_fits_it() -> None:
     found = {}
-    for name in plugin_names("graphs"):
-        graph = load_plugin("graphs", name, "x")
+    for name in plugin_names(Graph):
+        graph = load_plugin(Graph, name, "x")
         rule = matching_evidence_rule(graph, 3, "counting", "x")
         compile_model(load_experiment(simulated(graph=name, evidence=rule), n_lanes=3))
         found[name] = rule

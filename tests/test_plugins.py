@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Graph, Rule
 from egolane_pgm.graphs.cpds import declare, quiet
 from egolane_pgm.graphs.from_pgmpy import read_file
 from egolane_pgm.loading import load_experiment
@@ -73,11 +74,11 @@ def write(path: Path, text: str) -> Path:
 
 def test_plugins_are_the_files_of_their_folder() -> None:
     some = {"lane_only", "no_wor", "sensor_failure", "wor_on_lane"}
-    assert some <= set(plugin_names("graphs"))
-    assert {"counting", "line_geometry"} <= set(plugin_names("evidence"))
-    assert not [n for f in ("graphs", "evidence") for n in plugin_names(f) if n.startswith("_")]
+    assert some <= set(plugin_names(Graph))
+    assert {"counting", "line_geometry"} <= set(plugin_names(Rule))
+    assert not [n for kind in (Graph, Rule) for n in plugin_names(kind) if n.startswith("_")]
     listed = done("show").stdout
-    for name in (*plugin_names("graphs"), *plugin_names("evidence")):
+    for name in (*plugin_names(Graph), *plugin_names(Rule)):
         assert name in listed
     assert "run01_italy_ml.yaml" in listed
 
@@ -130,7 +131,12 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
         (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),
         (GRAPH.replace('"Lane"', '"Line"'), "needs a hidden node Lane with 3 values, has none"),
-        (GRAPH + "    PARAMETERS = ('x',)", "PARAMETERS is not a tuple of Parameter"),
+        (GRAPH + "    PARAMETERS = ('x',)", "g.py: PARAMETERS: needs tuple[Parameter, ...], got"),
+        (GRAPH + "    UNSUED = ('x',)", "g.py: unknown name UNSUED (did you mean 'UNUSED'?)"),
+        (GRAPH.replace("HIDDEN", "HIDEN"), "g.py: unknown name HIDEN (did you mean 'HIDDEN'?)"),
+        (GRAPH.replace('("Lane",)', '"Lane"', 1), "g.py: HIDDEN: needs tuple[str, ...] | None, got"),
+        (GRAPH.replace("(n_lanes, parameters)", "(n_lanes)"), "g.py: build: needs a function of ("),
+        (GRAPH + "    tables = 3", "g.py: tables: needs a function of (n_lanes, parameters)"),
     ],
 )  # fmt: skip
 def test_a_graph_file_with_a_fault_is_refused_by_its_name_and_line(
@@ -180,7 +186,7 @@ def test_a_folder_that_is_called_as_a_plugin_is_none(
     (tmp_path / "no_wor").mkdir()
     monkeypatch.chdir(tmp_path)
     experiment = load_experiment(write_drive(tmp_path / "e", 20), {"graph": "no_wor"})
-    assert compile_model(experiment).graph.__name__ == "egolane_pgm.graphs.no_wor"
+    assert compile_model(experiment).graph.is_ours
     with pytest.raises(InputError, match=f"graph: no file {tmp_path / 'nope.py'}"):
         compile_model(load_experiment(experiment, {"graph": "nope.py"}))
 
@@ -194,6 +200,9 @@ def test_a_folder_that_is_called_as_a_plugin_is_none(
         (RULE.replace('"Seen"', '"Sen"'), "observed node Seen: the evidence has nothing for it"),
         (RULE.replace("return", "seen[3] = -1; return"), "frame 3 has a negative or NaN value"),
         ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "observes Seen, the evidence rule gives"),
+        ('PROVIDE = ("Seen",)\n' + textwrap.dedent(RULE), "r.py: unknown name PROVIDE (did you"),
+        (RULE.replace("def evidence", "def evidnce"), "r.py does not define evidence"),
+        (RULE.replace("log, n_lanes,", "log,"), "r.py: evidence: needs a function of (log,"),
     ],
 )  # fmt: skip
 def test_a_rule_file_with_a_fault_is_refused_by_its_name(
@@ -232,13 +241,17 @@ def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
 def test_two_files_of_the_same_name_are_two_modules(tmp_path: Path) -> None:
     for folder, value in (("a", 1), ("b", 2)):
         (tmp_path / folder).mkdir()
-        write(tmp_path / folder / "g.py", f"build = HIDDEN = OBSERVED = {value}")
-    one = load_plugin("graphs", str(tmp_path / "a" / "g.py"), "x")
-    other = load_plugin("graphs", str(tmp_path / "b" / "g.py"), "x")
-    assert (one.build, other.build) == (1, 2)
-    assert load_plugin("graphs", str(tmp_path / "b" / ".." / "a" / "g.py"), "x") is one
-    write(tmp_path / "a" / "g.py", "build = HIDDEN = OBSERVED = 3")
-    assert load_plugin("graphs", str(tmp_path / "a" / "g.py"), "x").build == 3  # changed since
+        write(tmp_path / folder / "g.py", f"def build(n_lanes, parameters): return {value}")
+    one = load_plugin(Graph, str(tmp_path / "a" / "g.py"), "x")
+    other = load_plugin(Graph, str(tmp_path / "b" / "g.py"), "x")
+    assert one.build
+    assert other.build
+    assert (one.build(3, {}), other.build(3, {})) == (1, 2)
+    assert load_plugin(Graph, str(tmp_path / "b" / ".." / "a" / "g.py"), "x").build is one.build
+    write(tmp_path / "a" / "g.py", "def build(n_lanes, parameters): return 3")
+    changed = load_plugin(Graph, str(tmp_path / "a" / "g.py"), "x")
+    assert changed.build
+    assert changed.build(3, {}) == 3
     assert not (tmp_path / "a" / "__pycache__").exists()
 
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from egolane_pgm.studies.graph_file import graph_named
 
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.result import load_result
 from egolane_pgm.runs import numbers, open_input, read_runs, run_table, table_inputs
-from egolane_pgm.studies.graph_file import graph_named
 from egolane_pgm.types import InputError
 from tests.kits.drives import run, short_drive, simulated, write_drive
 

@@ -12,16 +12,18 @@ A table missing in one slice is copied from the other one, if the node has the s
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from egolane_pgm.contracts import Graph
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet, spell
+from egolane_pgm.plugins import same
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -261,14 +263,9 @@ def _without_commas(text: str) -> str:
     return text
 
 
-def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
-    """Make a module from a BIF or XMLBIF file of two slices, with `build` as a graph in Python.
-
-    - name: name of the new module. where: how error messages begin.
-    """
-    module = ModuleType(name)
+def load_graph_file(path: Path, name: str, where: str) -> Graph:
+    """Read a BIF or XMLBIF file of two slices. Its numbers may come from any frames."""
     with problems_in(where):
         network = read_file(path)
-    module.__dict__.update(__file__=str(path), build=lambda n_lanes, parameters: network)
-    module.__dict__["LEARNED_FROM"] = "unknown"  # Its numbers may come from any frames.
-    return module
+    build = functools.partial(same, network)
+    return Graph(name=name, file=str(path), build=build, learned_from="unknown")

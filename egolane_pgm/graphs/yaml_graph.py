@@ -29,17 +29,19 @@ number of lanes is fixed: a graph with parameters, or for any number of lanes, i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from egolane_pgm.experiment import Section, validated
+from egolane_pgm.contracts import Graph
+from egolane_pgm.experiment import Origin, Section, validated
 from egolane_pgm.graphs.cpds import Table, uniform
 from egolane_pgm.parameters import check_names
+from egolane_pgm.plugins import same
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
 
@@ -80,37 +82,35 @@ class _Graph(Section):
     bounds: dict[str, tuple[float, ...]] = Field(default_factory=dict)
     unused: tuple[str | tuple[str, ...], ...] = ()
     tables: dict[str, dict[str, Any]]
-    #: The recording of a fit, see `model.recording_key`.
-    learned_from: str | None = None
+    learned_from: Origin | None = None
 
 
-def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
-    """Make a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
-    tables, ...).
-
-    - name: name of the new module
-    - where: how error messages begin
-
-    Raises InputError for a file whose parts do not fit together.
-    """
+def load_graph_file(path: Path, name: str, where: str) -> Graph:
+    """Read a graph from a YAML file. Raises InputError if its parts do not fit together."""
     with problems_in(where):
-        graph = validated(_Graph, read_yaml(path, "nodes: {Lane: 2}"), path.name)
-        with problems_in(path.name):
-            tables = _tables(graph)
-    module = ModuleType(name, graph.description)
-    module.__dict__.update(
-        __file__=str(path),
-        HIDDEN=graph.hidden,
-        OBSERVED=graph.observed,
-        INPUTS=graph.inputs,
-        BOUNDS=graph.bounds,
-        UNUSED=graph.unused,
-        LEARNED_FROM=graph.learned_from,
-        VALUES={n: values for n, values in graph.nodes.items() if not isinstance(values, int)},
-        PARAMETERS=(),
-        tables=lambda n_lanes, parameters: tables,
+        keys = read_yaml(path, "nodes: {Lane: 2}")
+        return graph_of(keys, name, path.name, file=str(path))
+
+
+def graph_of(keys: Mapping[str, Any], name: str, where: str, *, file: str = "") -> Graph:
+    """Make a graph from the keys of a YAML file. Raises InputError if they do not fit together."""
+    graph = validated(_Graph, keys, where)
+    with problems_in(where):
+        tables = _tables(graph)
+    return Graph(
+        name=name,
+        file=file,
+        about=graph.description or "",
+        hidden=graph.hidden,
+        observed=graph.observed,
+        inputs=graph.inputs,
+        bounds=graph.bounds,
+        unused=graph.unused,
+        learned_from=graph.learned_from,
+        values={n: values for n, values in graph.nodes.items() if not isinstance(values, int)},
+        tables=functools.partial(same, tables),
+        keys=keys,
     )
-    return module
 
 
 def _tables(graph: _Graph) -> list[Table]:

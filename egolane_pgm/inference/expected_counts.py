@@ -54,7 +54,7 @@ def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
     }
 
 
-def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode] = ()) -> int:
+def free_parameters(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode] = ()) -> int:
     """Return the number of free numbers of the tables of later frames.
 
     These are the entries above zero but one of each row.

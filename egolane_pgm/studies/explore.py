@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,17 +19,22 @@ import optuna
 import pandas as pd
 from scipy.special import stdtrit
 
-from egolane_pgm.drives import Drive, data_files, digest, drive_key
+from egolane_pgm.drives import Drive, drive_key
 from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.identity import data_files, digest, digest_of
 from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
-from egolane_pgm.inference.expected_counts import counted_tables, free_numbers
+from egolane_pgm.inference.expected_counts import counted_tables, free_parameters
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import Model, make_evidence, training_key
+from egolane_pgm.model import Model, graph_in_memory, make_evidence, with_own_values
 from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies.em import fit_tables, strength_of
-from egolane_pgm.studies.fits import learnable_nodes, start_of_learning, training_of
-from egolane_pgm.studies.graph_file import graph_yaml
+from egolane_pgm.studies.fits import (
+    drives_digest,
+    learnable_nodes,
+    start_of_learning,
+    training_of,
+)
 from egolane_pgm.studies.search import make_sampler, quiet, settings_of
 from egolane_pgm.studies.space import SearchSpace
 from egolane_pgm.studies.structures import (
@@ -42,9 +47,10 @@ from egolane_pgm.studies.structures import (
     with_node,
     with_structure,
 )
-from egolane_pgm.studies.study import Fold, everything
+from egolane_pgm.studies.study import Fold, everything, training_of_fold
 from egolane_pgm.tools.files import make_directory, write_yaml
 from egolane_pgm.tools.jobs import parallel
+from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, IntArray, problems_in
 
@@ -63,8 +69,6 @@ MOST_NUMBERS, MOST_PARENTS = 2000, 3
 
 #: The largest number of EM steps for each structure.
 ITERATIONS = 50
-
-Judged = tuple[list[FloatArray], dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -99,9 +103,9 @@ class Exploration:
       (the mean over recordings of the mean over frames) with its 95 % interval over blocks of
       frames (`gain_low`, `gain_high`; empty for `bic`), the same over drives (`over_drives`, `_low`
       and `_high`, Student's t; empty for one drive), the number of drives in which it helps
-      (`drives`), free numbers (`numbers`), and in how many of the searches it was chosen
+      (`drives`), free parameters (`free_parameters`), and in how many of the searches it was chosen
       (`chosen`).
-    - structures: a row per structure: `edges`, `score`, `numbers`, `log_evidence`, `bic`.
+    - structures: a row per structure: `edges`, `score`, `free_parameters`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start.
     - gain: of the best structure over the start: `changes` as text, else as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
@@ -212,7 +216,7 @@ def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNo
 
 
 def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled, int]:
-    """Fit a structure to the training frames of a fold; return also its free numbers."""
+    """Fit a structure to the training frames of a fold; return also its free parameters."""
     compiled, bases = made(problem, structure)
     options = problem.model.experiment.fit
     data = zip(problem.drives, problem.evidence, fold.train, strict=True)
@@ -226,17 +230,18 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
             for node, base in bases.items()
         },
     ).compiled  # fmt: skip
-    return learned, free_numbers(counted_tables(learned), bases)
+    return learned, free_parameters(counted_tables(learned), bases)
 
 
-def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> Judged:
+def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame:
     """Fit a structure to the training frames of a fold, and judge it.
 
     - task: the edges of a structure, sorted, and the number of the fold.
 
-    Returns per recording the value of each test frame, larger is better, NaN if it is crossing or
-    not trusted, or one BIC per frame for all; and the free numbers, the log evidence of all frames,
-    and BIC: log evidence less half the logarithm of the number of frames for each free number.
+    Returns the value of each test frame of each recording, larger is better, NaN if it is crossing
+    or not trusted, or one BIC per frame for all; in `attrs` the free parameters, the log evidence
+    of all frames, and BIC: log evidence less half the logarithm of the number of frames for each
+    free parameter.
     """
     fold = problem.folds[task[1]]
     compiled, numbers = fitted(problem, frozenset(task[0]), fold)
@@ -248,7 +253,10 @@ def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> Judged:
     values = [*map(partial(_values, problem.judge), problem.drives, beliefs, fold.test)]
     if problem.judge == "bic":
         values = [np.array([bic / n_frames])]
-    return values, {"numbers": numbers, "log_evidence": log_evidence, "bic": bic}
+    recording = np.repeat(np.arange(len(values)), [len(each) for each in values])
+    table = pd.DataFrame({"recording": recording, "value": np.concatenate(values)})
+    table.attrs = {"free_parameters": numbers, "log_evidence": log_evidence, "bic": bic}
+    return table
 
 
 def _values(judge: str, drive: Drive, beliefs: Beliefs, test: IntArray) -> FloatArray:
@@ -266,33 +274,38 @@ class Tried:
     """The structures that were tried, kept on disk if there is a directory."""
 
     def __init__(self, problem: Problem, directory: Path | None, **shared: Any) -> None:
-        from joblib import Memory, hash
-
-        self.problem, self.found = problem, dict[tuple[Structure, int], Judged]()
-        self.folds, self.shared = range(len(problem.folds)), shared
-        # Without sets, whose order differs between processes.
-        fit, parts = problem.model.experiment.fit, vars(problem) | {"model": None, "drives": None}
-        labels = [(drive.true_lane, drive.is_crossing) for drive in problem.drives]
-        data = parts, labels, fit.labels, fit.strength, problem.model.compiled.start
-        place = None if directory is None else directory / "tried" / hash(data)
-        kept = Memory(place, verbose=0).cache(judged, ignore=["problem"])
-        self.judge = partial(kept, problem)
+        self.problem = problem
+        self.found = dict[tuple[Structure, int], pd.DataFrame]()
+        self.folds = range(len(problem.folds))
+        self.shared = shared
+        self.folder = None if directory is None else directory / "tried"
+        whole = [np.arange(len(drive)) for drive in problem.drives]
+        data = drives_digest(problem.drives, whole), problem.tables, problem.folds
+        self.identity = digest_of(data, problem.hidden, problem.judge, problem.seed)
 
     def __call__(self, structures: Iterable[Structure], folds: Sequence[int] = ()) -> None:
         """Judge structures in some folds, by default in all."""
         tasks = dict.fromkeys((each, fold) for each in structures for fold in folds or self.folds)
         new = [task for task in tasks if task not in self.found]
-        done = parallel(self.judge, [(tuple(sorted(s)), k) for s, k in new], **self.shared)
+        items = [(tuple(sorted(structure)), fold) for structure, fold in new]
+        keys = [digest_of(self.identity, list(map(str, edges)), fold) for edges, fold in items]
+
+        def make(rows: list[int]) -> Iterator[pd.DataFrame]:
+            left = [items[k] for k in rows]
+            return parallel(partial(judged, self.problem), left, **self.shared)
+
+        done = kept_tables(self.folder, keys, make)
         self.found.update(zip(new, bar(done, total=len(new), unit="fit"), strict=True))
 
     def complete(self) -> dict[Structure, dict[str, float]]:
-        """The numbers, log evidence and BIC of the structures that were judged in all folds."""
-        return {each: row for (each, k), (_, row) in self.found.items() if k == self.folds[-1]}
+        """The free parameters, log evidence and BIC of structures that were judged in all folds."""
+        return {each: row.attrs for (each, k), row in self.found.items() if k == self.folds[-1]}
 
     def values(self, structure: Structure) -> list[FloatArray]:
         """The values of `judged` in all folds so far, per recording."""
-        found = [self.found[structure, k][0] for k in self.folds if (structure, k) in self.found]
-        return [np.concatenate(each) for each in zip(*found, strict=True)]
+        found = [self.found[structure, k] for k in self.folds if (structure, k) in self.found]
+        values = pd.concat(found).groupby("recording")["value"]
+        return [each.to_numpy() for _, each in values]
 
     def score(self, structure: Structure) -> float:
         """The mean over recordings of the mean over frames."""
@@ -311,8 +324,8 @@ class Tried:
         names = [name + end for name in ("gain", "over_drives") for end in ends]
         over_drives = means.mean(), means.mean() - half, means.mean() + half
         row = dict(zip(names, (found.estimate, found.low, found.high, *over_drives), strict=True))
-        mine, before = (self.complete()[each]["numbers"] for each in (structure, start))
-        return {**row, "drives": int((means > 0).sum()), "numbers": mine - before}
+        mine, before = (self.complete()[each]["free_parameters"] for each in (structure, start))
+        return {**row, "drives": int((means > 0).sum()), "free_parameters": mine - before}
 
 
 def explore(
@@ -376,11 +389,7 @@ def explore(
         best,
         {"changes": changes, **first.gain(best)},
         {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
-        replace(
-            problem.model,
-            compiled=fitted(problem, best, everything(problem.drives))[0],
-            learned_from=training_key(drive.experiment for drive in problem.drives),
-        ),
+        _model_of(problem, best),
         JUDGES[problem.judge],
         directory,
     )
@@ -388,9 +397,18 @@ def explore(
         make_directory(directory)
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
-        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {changes}")
-        write_yaml(directory / "best.graph.yaml", content)
+        about = {"description": f"edges chosen by {problem.judge}: {changes}"}
+        graph = graph_in_memory(done.model, done.model.learned_from or "unknown")
+        write_yaml(directory / "best.graph.yaml", {**about, **(graph.keys or {})})
     return done
+
+
+def _model_of(problem: Problem, structure: Structure) -> Model:
+    """The model of a structure, fitted to all trusted frames."""
+    whole = everything(problem.drives)
+    learned, _ = fitted(problem, structure, whole)
+    origin = training_of_fold(problem.drives, whole)
+    return with_own_values(replace(problem.model, compiled=learned, learned_from=origin), origin)
 
 
 def _greedy(tried: Tried, edges: Sequence[Edge]) -> Structure:

@@ -12,10 +12,8 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 import optuna
 import pandas as pd
@@ -25,6 +23,7 @@ from optuna.trial import TrialState
 from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.identity import content_of, digest_of
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import METHODS
@@ -122,8 +121,8 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
             for name, table in _by_name(start, counted_tables(start)).items()
             if name in tables
         }
-        # `run_study` knows the recordings.
-        model = replace(model, compiled=em.with_learned(start, learned), learned_from="")
+        compiled = em.with_learned(start, learned)
+        model = replace(model, compiled=compiled, learned_from="unknown")
     return model
 
 
@@ -148,7 +147,7 @@ def what_is_learned(model: Model) -> str:
     By default it is the rule if it defines `fit` and `LEARNED`, and otherwise the tables. Raises
     InputError for a part that cannot be learned.
     """
-    can_learn = hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
+    can_learn = model.rule.fit is not None
     e = model.experiment
     found = e.fit.learns or ("rule" if can_learn else "tables")
     if found == "rule" and not can_learn:
@@ -164,7 +163,7 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     """Learn the parameters of an evidence rule from their defaults, by its function `fit`."""
     model, parts = drives[0].model, []
     rule = model.rule
-    start = _resolve(model, {k: v for k, v in model.parameters.items() if k not in rule.LEARNED})
+    start = _resolve(model, {k: v for k, v in model.parameters.items() if k not in rule.learned})
     for drive, frames in zip(drives, train, strict=True):
         rows = drive.rows[frames]
         rows = rows[~drive.is_crossing[rows]]
@@ -172,9 +171,9 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         lane[rows] = drive.true_lane[rows]
         parts.append((drive.log, lane, lane > 0))
     with plugin_errors(rule, "evidence"):
-        found: Mapping[str, Value] = rule.fit(parts, model.n_lanes, start)
-    if unknown := set(found).difference(rule.LEARNED):
-        raise InputError(f"{rule.__file__}: fit() returned {unknown.pop()}, not one of LEARNED")
+        found = rule.fit(parts, model.n_lanes, start) if rule.fit else {}
+    if unknown := set(found).difference(rule.learned):
+        raise InputError(f"{rule.file}: fit() returned {unknown.pop()}, not one of LEARNED")
     return Fitted(found)
 
 
@@ -208,7 +207,7 @@ def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     learned, found = max(
         fits, key=lambda each: (-each[0].is_impossible.sum(), each[0].log_posterior[-1])
     )
-    impossible, graph = int(learned.is_impossible.sum()), f"graph {model.experiment.graph}"
+    impossible, graph = int(learned.is_impossible.sum()), f"graph {model.experiment.graph_name}"
     if impossible == len(learned.is_impossible):
         raise InputError(
             f"{source}: {graph} allows no frame of the {impossible} to learn from; do the evidence"
@@ -250,9 +249,8 @@ def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Le
 
     def tables_of(numbers: FloatArray) -> Sequence[Table]:
         values = to_parameters(space, point(numbers))
-        if hasattr(start.graph, "tables"):
-            tables: Sequence[Table] = start.graph.tables(start.n_lanes, values)
-            return tables
+        if start.graph.tables is not None:
+            return start.graph.tables(start.n_lanes, values)
         return list(with_parameters(start, values).compiled.tables.values())
 
     bounds = [(d.low, d.high) for d in ends]
@@ -310,8 +308,8 @@ def learnable_nodes(model: Model) -> set[str]:
     }
     if not names:
         raise InputError(
-            f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
-            " input and cannot be learned; search parameters with `egolane tune`"
+            f"{source}: all tables of graph {model.experiment.graph_name} are certain or selected"
+            " by an input and cannot be learned; search parameters with `egolane tune`"
         )
     check_names(names, strength if isinstance(strength, Mapping) else (), f"{source}: fit.strength")
     return names
@@ -324,8 +322,8 @@ def start_of_learning(model: Model) -> Model:
     """
     values = dict(model.parameters)
     if model.experiment.tuned_on in ("same_frames", "unknown"):
-        specs = getattr(model.graph, "PARAMETERS", ())
-        values |= {spec.name: spec.default for spec in specs if spec.is_searched}
+        own = model.graph.parameters
+        values |= {spec.name: spec.default for spec in own if spec.is_searched}
     return with_parameters(model, _resolve(model, values))
 
 
@@ -334,11 +332,14 @@ def kept_though_tuned(model: Model) -> list[str]:
     e = model.experiment
     if e.tuned_on not in ("same_frames", "unknown"):
         return []
-    specs = getattr(model.rule, "PARAMETERS", ())
-    kept = [s.name for s in specs if s.is_searched and model.parameters[s.name] != s.default]
-    starts_anew = any(s.is_searched for s in getattr(model.graph, "PARAMETERS", ()))
+    kept = [
+        s.name
+        for s in model.rule.parameters
+        if s.is_searched and model.parameters[s.name] != s.default
+    ]
+    starts_anew = any(s.is_searched for s in model.graph.parameters)
     is_tuned_graph = e.tuned_on == "same_frames" and not starts_anew
-    return [*kept, *[f"graph {e.graph}"] * is_tuned_graph]
+    return [*kept, *[f"graph {e.graph_name}"] * is_tuned_graph]
 
 
 def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
@@ -415,7 +416,7 @@ def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
         if searches_detector(tuning):
             specs = not_searched([*specs, *searched_of_detector(model.experiment)[0]])
         current, source = current_values(model, tuning), model.experiment.source
-        where, own = f"{source}: fit.parameters", getattr(model.graph, "PARAMETERS", ())
+        where, own = f"{source}: fit.parameters", model.graph.parameters
         if is_rule_kept:
             specs = [s if s in own else replace(s, search=None) for s in specs]
         spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
@@ -502,7 +503,8 @@ def open_study(
         "sampler": sampler_name(settings.sampler),
         "seed": settings.seed,
         "space": describe(space),
-        "data": [drive_digest(drive, frames) for drive, frames in zip(drives, train, strict=True)],
+        "experiment": [digest_of(content_of(drive.experiment, _IN_SPACE)) for drive in drives],
+        "data": drives_digest(drives, train, _IN_SPACE),
     }
     known = json.loads(json.dumps(to_jsonable(content)))
     before = study.user_attrs.get("identity", known)
@@ -523,13 +525,24 @@ def open_study(
     return study
 
 
-def drive_digest(drive: Drive, train: IntArray) -> str:
-    """A checksum of the lines, labels, training frames and model of a drive."""
-    log, e = drive.log, drive.experiment
-    # A user's own file is part of the model; it may have moved.
-    files = [Path(plugin) for plugin in (e.evidence, e.graph)]
-    plugins = [f.read_bytes() if f.is_absolute() else f.name for f in files]
-    lines = log.frame_id, log.offset_m, log.is_valid, log.is_continuous, log.lri
-    labels = drive.true_lane, drive.is_crossing, train, *log.covariates.values()
-    model = plugins, e.filter, e.evidence_mode, e.min_confidence
-    return str(joblib.hash((lines, labels, model)))
+#: Keys of an experiment that the space, or the settings of a search, contain.
+_IN_SPACE = ("parameters", "fit", "tuned_on")
+
+
+def drives_digest(
+    drives: Sequence[Drive], train: Sequence[IntArray], harmless: Sequence[str] = ()
+) -> str:
+    """A checksum of drives, of their experiments and of their training frames.
+
+    - harmless: keys of the experiments that are left out.
+    """
+    parts = [
+        {
+            "experiment": content_of(drive.experiment, harmless),
+            "lines": replace(drive.log, source=""),
+            "labels": [drive.true_lane, drive.is_crossing],
+            "frames": frames,
+        }
+        for drive, frames in zip(drives, train, strict=True)
+    ]
+    return digest_of(parts)

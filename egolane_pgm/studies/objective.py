@@ -69,7 +69,7 @@ def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[
     from egolane_pgm.vision.detectors.pictures import detector_of
 
     detector = detector_of(experiment, "fit.parameters: detector")
-    specs = getattr(detector.module, "PARAMETERS", ())
+    specs = detector.plugin.parameters
     values = {PREFIX + name: value for name, value in detector.parameters.items()}
     return [replace(spec, name=PREFIX + spec.name) for spec in specs], values
 
@@ -93,7 +93,7 @@ def beliefs_at(drive: Drive) -> Callable[[Mapping[str, Value]], Beliefs]:
     The last evidences are cached, since most trials change only the graph, and `bonus_value`, which
     is searched, has 10 values. Parameters of the detector make it process all pictures again.
     """
-    names = [spec.name for spec in getattr(drive.model.rule, "PARAMETERS", ())]
+    names = [spec.name for spec in drive.model.rule.parameters]
 
     @lru_cache(maxsize=12)
     def evidence(

@@ -18,13 +18,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
-from egolane_pgm.experiment import DETECTOR, Experiment, resolved
-from egolane_pgm.model import Model, training_key
+from egolane_pgm.contracts import Graph
+from egolane_pgm.drives import Drive, drive_key, read_drives
+from egolane_pgm.experiment import DETECTOR, Experiment, Origin, TrainedOn, resolved
+from egolane_pgm.identity import data_files, digest, most_in_sample, origin_on, trained_on
+from egolane_pgm.model import Model, with_own_values
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
-    TABLES,
     Fit,
     Fitted,
     apply_fit,
@@ -33,8 +34,6 @@ from egolane_pgm.studies.fits import (
     search_space,
     what_is_learned,
 )
-from egolane_pgm.studies.graph_file import graph_yaml
-from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.profile import make_profile, values_of
 from egolane_pgm.studies.search import new_study, sampler_name, search, settings_of
 from egolane_pgm.studies.space import describe
@@ -196,10 +195,15 @@ def inferred_frames(drive: Drive) -> pd.DataFrame:
     return frames
 
 
-def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
-    """The drive with a fit in its model; other detector parameters detect its lines again."""
+def fitted_drive(drive: Drive, fitted: Fitted, origin: Origin | None = None) -> Drive:
+    """The drive with a fit in its model; other detector parameters detect its lines again.
+
+    - origin: what a final fit was trained on; its experiment then has the fitted numbers.
+    """
     model = apply_fit(drive.model, fitted)
-    if model.experiment.recording == drive.experiment.recording:
+    if origin is not None:
+        model = with_own_values(model, origin)
+    if model.experiment.parameters.get(DETECTOR) == drive.experiment.parameters.get(DETECTOR):
         return replace(drive, model=model)
     [again] = read_drives(model.experiment)
     return replace(again, model=model)
@@ -263,19 +267,13 @@ class Study:
         found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
         return list(dict.fromkeys(found))
 
-    def experiment(self) -> dict[str, Any]:
-        """The keys of the fitted experiment, without learned tables."""
-        first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
-        fitted = with_rate(first, self.in_sample.frame_rate)
-        detector = self.model.experiment.parameters.get(DETECTOR)
-        if detector:
-            fitted = with_detector(fitted, detector)
-        content: dict[str, Any] = to_jsonable(resolved(fitted, self.model.parameters))
-        content["name"] = f"{self.name}_{suffix}"
-        content["description"] = f"{first.description}; fitted by {self.method}".lstrip("; ")
-        # A later run may use one of several training drives.
-        content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
-        return content
+    @property
+    def experiment(self) -> Experiment:
+        """The fitted experiment, on the first of the recordings."""
+        first, suffix = self.in_sample.experiment, "tuned" if self.method == "tune" else "learned"
+        about = f"{first.description}; fitted by {self.method}".lstrip("; ")
+        names = {"name": f"{self.name}_{suffix}", "description": about}
+        return first.model_copy(update=names)
 
     def to_text(self, *, style: str = "markdown") -> str:
         """The text that `egolane tune` prints: scores in-sample and held out, and fitted values.
@@ -295,15 +293,12 @@ class Study:
         place = Path(directory)
         make_directory(place)
         (place / STUDY_FILE).unlink(missing_ok=True)
-        content = self.experiment()
-        if any(name.startswith(TABLES) for name in self.fitted):
-            origin = self.model.learned_from or "drives"
-            graph = graph_yaml(self.model, f"tables learned from {origin}")
-            write_yaml(place / "best.graph.yaml", graph)
-            # The graph of learned tables has no parameters; only the rule's remain.
-            of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
-            kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
-            content |= {"graph": "./best.graph.yaml", "parameters": kept}
+        content, graph = resolved(self.experiment, self.model.parameters), self.experiment.graph
+        if isinstance(graph, Graph):
+            drives = ", ".join(each.name for each in self.experiments)
+            about = {"description": f"tables learned from {drives}"}
+            write_yaml(place / "best.graph.yaml", {**about, **(graph.keys or {})})
+            content["graph"] = "./best.graph.yaml"
         write_yaml(place / "best.yaml", content)
         for name, rows in (("trials", self.trials), ("profile", self.profile)):
             (place / f"{name}.parquet").unlink(missing_ok=True)
@@ -339,6 +334,7 @@ def is_study(directory: str | os.PathLike[str]) -> bool:
 
 
 def held_out_result(
+    experiment: Experiment,
     drives: Sequence[Drive],
     folds: Sequence[Fold],
     fitted: Sequence[Fitted],
@@ -352,42 +348,69 @@ def held_out_result(
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
     keys["free_parameters"] = apply_fit(drives[0].model, fitted[0]).free_parameters
     if fit != "none":
-        keys["tuned_on"] = "other_frames"
+        keys["tuned_on"] = most_in_sample(
+            origin_on([training_of_fold(drives, fold)], drive.marks, drive.frame_ids(test))
+            for fold in folds
+            for drive, test in zip(drives, fold.test, strict=True)
+            if len(test)
+        )
     notes = [*notes, *found]
-    return make_result(drives[0].experiment, drives, frames, notes, begin=begin, **keys)
+    return make_result(experiment, drives, frames, notes, begin=begin, **keys)
+
+
+def training_of_fold(drives: Sequence[Drive], fold: Fold) -> tuple[TrainedOn, ...]:
+    """What a fit to the training frames of a fold keeps of each drive."""
+    pairs = zip(drives, fold.train, strict=True)
+    return tuple(
+        trained_on(drive.marks, drive.frame_ids(train)) for drive, train in pairs if len(train)
+    )
 
 
 def run_held_out(
+    experiment: Experiment,
     drives: Sequence[Drive],
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
 ) -> Result:
     """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
-    begin, experiment = time.perf_counter(), drives[0].experiment
+    begin = time.perf_counter()
     method = experiment.fit.method
     check_labels(drives, method)
     folds, fit = block_folds(drives, n_blocks), fit_by_name(method)
     with noting() as found:
         fitted = fit_folds(drives, fit, list(enumerate(folds)))
-    return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
+    notes = [*notes, *found]
+    return held_out_result(experiment, drives, folds, fitted, notes, begin, method)
+
+
+class Work(NamedTuple):
+    """Where and how a study runs.
+
+    - directory: of the study, which is saved there; None for a study in memory.
+    - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
+    - pooled: whether all frames count alike in a search; otherwise all drives do.
+    - jobs, cluster: see `tools.jobs.parallel`.
+    """
+
+    directory: Path | None = None
+    storage: str | None = None
+    pooled: bool = False
+    jobs: int = 1
+    cluster: str | None = None
 
 
 def run_study(
     drives: Sequence[Drive],
     method: str,
     folds: Sequence[Fold],
+    work: Work = Work(),  # noqa: B008
     *,
     name: str | None = None,
     experiments: Sequence[Experiment] | None = None,
     starts: Sequence[Mapping[str, Any]] | None = None,
-    storage: str | None = None,
-    directory: Path | None = None,
-    pooled: bool = False,
     profile: Sequence[str] = (),
     notes: Sequence[str] = (),
-    jobs: int = 1,
-    cluster: str | None = None,
 ) -> Study:
     """Fit to everything, and hold out each fold in turn.
 
@@ -396,73 +419,80 @@ def run_study(
     - name: of the study; by default the first experiment's.
     - experiments: by default the experiments of the drives.
     - starts: parameter sets that the final search tries first; by default the current ones.
-    - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
-    - directory: the study is saved here.
-    - pooled: whether all frames count alike in a search; otherwise all drives do.
     - profile: parameters of a search whose profile is made.
     """
-    begin, first = time.perf_counter(), drives[0]
+    begin = time.perf_counter()
     check_labels(drives, method)
-    settings: dict[str, Any] = {}
-    if directory is not None:
-        if is_result(directory):
-            raise InputError(f"{directory}: is a result directory; name another one")
-        check_place(directory / STUDY_FILE)
-        storage = storage or str(directory / JOURNAL_NAME)
-    if method == "tune":
-        tuning = settings_of(first.experiment.fit, None, first.experiment.source)
-        space = search_space([drive.model for drive in drives], tuning)
-        settings = {"objectives": tuning.objective, "sampler": sampler_name(tuning.sampler)}
-        settings |= tuning.model_dump(include={"trials", "seed"}) | describe(space)
-        for each in profile:
-            values_of(space, each, tuning.objective[0])
-        # A sampler that does not fit is refused before anything is written.
-        once, nothing = tuning.model_copy(update={"trials": 1}), [0.0] * len(tuning.objective)
-        search(new_study(once), space, lambda point: nothing, once)
-    else:
-        kept, of_fit = {"labels", "strength", "trials", "seed"}, first.experiment.fit
-        settings = {"learns": what_is_learned(first.model), **of_fit.model_dump(include=kept)}
+    if experiments is None:
+        experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    if work.directory is not None:
+        check_directory(work.directory)
+        work = work._replace(storage=work.storage or str(work.directory / JOURNAL_NAME))
+    settings = settings_of_study(drives, method, profile)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
-    fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
+    fit = fit_by_name(method, storage=work.storage, starts=starts, pooled=work.pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]
+    shared: Any = {"jobs": work.jobs, "cluster": work.cluster}
     with noting() as of_fits:
-        whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
-        fitted_drives = [fitted_drive(drive, whole) for drive in drives]
-        frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
-    trials, profiled = pd.DataFrame() if whole.trials is None else whole.trials, pd.DataFrame()
-    if profile:
-        shared: Any = {"pooled": pooled, "directory": directory, "jobs": jobs, "cluster": cluster}
-        profiled = make_profile(drives, profile, tuning, trials, **shared)
+        whole, *fitted = fit_folds(drives, fit, numbered, **shared)
+        origin = training_of_fold(drives, whole_fold)
+        final = [fitted_drive(drive, whole, origin) for drive in drives]
+        frames = concat_drives(final, [inferred_frames(drive) for drive in final])
     notes = [*notes, *of_fits]
-    if experiments is None:
-        experiments = list(dict.fromkeys(drive.experiment for drive in drives))
-    model = fitted_drives[0].model
-    if model.learned_from == "":
-        model = replace(model, learned_from=training_key(experiments))
-    in_sample = make_result(
-        model.experiment, fitted_drives, frames, notes, begin=begin, tuned_on="same_frames"
-    )
-    # The experiment alone would give the model before the fit.
-    vars(in_sample)["model"] = model
-    held_out = held_out_result(drives, folds, fitted, notes, begin, method) if folds else None
+    trials = pd.DataFrame() if whole.trials is None else whole.trials
+    profiled = pd.DataFrame()
+    if profile:
+        shared |= {"pooled": work.pooled, "directory": work.directory}
+        profiled = make_profile(drives, profile, trials, **shared)
+    model, held_out = final[0].model, None
+    in_sample = make_result(model.experiment, final, frames, notes, begin=begin)
+    if folds:
+        held_out = held_out_result(experiments[0], drives, folds, fitted, notes, begin, method)
     study = Study(
-        name or first.experiment.name,
-        experiments,
-        method,
-        model,
-        whole,
-        in_sample,
-        held_out,
-        trials,
-        settings,
-        directory,
-        profiled,
+        name=name or experiments[0].name,
+        experiments=experiments,
+        method=method,
+        model=model,
+        fitted=whole,
+        in_sample=in_sample,
+        held_out=held_out,
+        trials=trials,
+        settings=settings,
+        directory=work.directory,
+        profile=profiled,
     )
-    if directory is not None:
-        study.save(directory)
+    if work.directory is not None:
+        study.save(work.directory)
     return study
+
+
+def check_directory(directory: Path) -> None:
+    """Raise InputError if a study cannot be written to a directory."""
+    if is_result(directory):
+        raise InputError(f"{directory}: is a result directory; name another one")
+    check_place(directory / STUDY_FILE)
+
+
+def settings_of_study(
+    drives: Sequence[Drive], method: str, profile: Sequence[str]
+) -> dict[str, Any]:
+    """Return the settings of a study. Raises InputError if they do not fit, before anything is
+    written."""
+    first = drives[0]
+    if method == "learn":
+        kept = first.experiment.fit.model_dump(include={"labels", "strength", "trials", "seed"})
+        return {"learns": what_is_learned(first.model), **kept}
+    tuning = settings_of(first.experiment.fit, None, first.experiment.source)
+    space = search_space([drive.model for drive in drives], tuning)
+    for each in profile:
+        values_of(space, each, tuning.objective[0])
+    # A sampler that does not fit shows it in a trial.
+    once = tuning.model_copy(update={"trials": 1})
+    search(new_study(once), space, lambda point: [0.0] * len(tuning.objective), once)
+    settings = {"objectives": tuning.objective, "sampler": sampler_name(tuning.sampler)}
+    return settings | tuning.model_dump(include={"trials", "seed"}) | describe(space)
 
 
 def check_labels(drives: Sequence[Drive], method: str) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
+from egolane_pgm.contracts import Detector, Graph, Rule
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
@@ -52,11 +53,11 @@ def schema(kind: str = "experiment") -> dict[str, Any]:
         found["if"] = {"required": ["name"]}
         found["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
     for key, names, endings in (
-        ("graph", plugin_names("graphs"), OWN_FILES),
-        ("evidence", plugin_names("evidence"), (".py",)),
+        ("graph", plugin_names(Graph), OWN_FILES),
+        ("evidence", plugin_names(Rule), (".py",)),
         ("simulate", [*PRESETS], ()),
         ("format", [*FORMATS], (".py",)),
-        ("detector", plugin_names("detectors"), (".py",)),
+        ("detector", plugin_names(Detector), (".py",)),
     ):
         for section in (found, found.get("$defs", {}).get("Recording", {})):
             if key in section.get("properties", {}):

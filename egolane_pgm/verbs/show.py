@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any
 
 import click
 from annotated_types import Ge, Le
 
+from egolane_pgm.contracts import Detector, Graph, Plugin, Rule
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import experiments_folder, load_yaml
 from egolane_pgm.model import compile_graph, matching_evidence_rule
@@ -44,14 +44,14 @@ EXAMPLES = (
     "egolane show schema > experiment.schema.json",
 )
 
-#: The plugins that are described, and the folder of each kind.
-_PLUGINS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
+#: The plugins that are described.
+_PLUGINS: dict[str, type[Plugin]] = {"graph": Graph, "evidence": Rule, "detector": Detector}
 
 #: Names of each kind, or descriptions of files by path.
 _KINDS: dict[str, Callable[[], list[str] | dict[str, str]]] = {
-    "graphs": lambda: plugin_names("graphs"),
-    "evidence": lambda: plugin_names("evidence"),
-    "detectors": lambda: plugin_names("detectors"),
+    "graphs": lambda: plugin_names(Graph),
+    "evidence": lambda: plugin_names(Rule),
+    "detectors": lambda: plugin_names(Detector),
     "networks": lambda: [*ready_networks()],
     "recordings": lambda: [*FORMATS],
     "simulations": lambda: sorted(PRESETS),
@@ -159,29 +159,30 @@ def _plugin(name: str, n_lanes: int, numbers: bool, out: StrPath | None) -> dict
     kind, bare = find_plugin(name, _PLUGINS)
     if out is not None:
         check_not_read(Path(out), [Path(bare)])
-    module = load_plugin(_PLUGINS[kind], bare, kind)
     found: dict[str, Any] = {"name": bare}
     if kind == "evidence":
-        return found | describe_rule(module, _defaults(module, n_lanes))
+        rule = load_plugin(Rule, bare, kind)
+        return found | describe_rule(rule, _defaults(rule, n_lanes))
     if kind == "detector":
-        return found | describe_detector(module)
-    compiled = compile_defaults(bare, module, n_lanes)
+        return found | describe_detector(load_plugin(Detector, bare, kind))
+    graph = load_plugin(Graph, bare, kind)
+    compiled = compile_defaults(bare, graph, n_lanes)
     if out is not None and numbers and Path(out).suffix.lower() != ".bif":
         write_figure(lambda: tables_figure(compiled), Path(out))
     elif out is not None:
         write_network(compiled, Path(out))
-    return found | describe_graph(module, compiled, numbers=numbers)
+    return found | describe_graph(graph, compiled, numbers=numbers)
 
 
-def compile_defaults(name: str, module: ModuleType, n_lanes: int) -> Compiled:
+def compile_defaults(name: str, graph: Graph, n_lanes: int) -> Compiled:
     """A graph with the default values of its parameters."""
     where = f"graph {name}"
-    parameters = _defaults(module, n_lanes)
+    parameters = _defaults(graph, n_lanes)
     with problems_in(where):
-        rule = matching_evidence_rule(module, n_lanes, "counting", where)
-        evidence = load_plugin("evidence", rule, where)
-        return compile_graph(evidence, module, n_lanes, parameters)[0]
+        rule = matching_evidence_rule(graph, n_lanes, "counting", where)
+        evidence = load_plugin(Rule, rule, where)
+        return compile_graph(evidence, graph, n_lanes, parameters)[0]
 
 
-def _defaults(module: ModuleType, n_lanes: int) -> Parameters:
-    return resolve_parameters(getattr(module, "PARAMETERS", ()), {}, n_lanes)
+def _defaults(plugin: Graph | Rule, n_lanes: int) -> Parameters:
+    return resolve_parameters(plugin.parameters, {}, n_lanes)

@@ -24,7 +24,7 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.running import noting
 from egolane_pgm.runs import Input, is_lines, open_input, table_inputs
-from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds, run_study
+from egolane_pgm.studies.study import Fold, Study, Work, block_folds, drive_folds, run_study
 from egolane_pgm.tools.options import StrPath, place_of, several_of
 from egolane_pgm.types import InputError
 
@@ -58,6 +58,9 @@ def fit_study(
     by_tag: str | None,
     folds: int | None,
     out: StrPath | None,
+    storage: str | None = None,
+    jobs: int = 1,
+    cluster: str | None = None,
     **options: Any,
 ) -> Study:
     """Read the drives of some experiments or of a table of runs, make the folds, and fit.
@@ -66,7 +69,7 @@ def fit_study(
     - experiments, ground_truth, n_lanes: as for `open_studied`.
     - folds: number of blocks of each drive, or of groups of a table's drives; 0 for no folds; by
       default `fit.folds` of the first experiment.
-    - options: of `run_study`.
+    - storage, jobs, cluster: see `Work`; options: of `run_study`.
     """
     name, inputs = open_studied(experiments, overrides, graph, ground_truth, n_lanes)
     if by_tag is not None and table is None:
@@ -89,12 +92,11 @@ def fit_study(
         drives,
         method,
         found,
+        Work(place_of(out, name), storage, table is not None, jobs, cluster),
         starts=starting_points(drives),
         name=name,
         # An experiment with a road table has several drives.
         experiments=[each.experiment for each in inputs],
-        directory=place_of(out, name),
-        pooled=table is not None,
         notes=notes,
         **options,
     )

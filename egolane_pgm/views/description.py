@@ -5,12 +5,12 @@ from __future__ import annotations
 import inspect
 import itertools
 from collections.abc import Mapping, Sequence
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.contracts import Detector, Graph, Plugin, Rule
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.plugins import plugin_errors
@@ -27,7 +27,7 @@ _BEFORE = " before"
 # --- as data -------------------------------------------------------------------------------------
 
 
-def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> dict[str, Any]:
+def describe_graph(graph: Graph, compiled: Compiled, *, numbers: bool) -> dict[str, Any]:
     """The nodes of a compiled graph with their roles, its edges, tables and parameters.
 
     - numbers: add the `values` of each table: an axis per parent, then the axis of the node.
@@ -43,7 +43,7 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
         ],
         "edges": {"within": structure.within, "across": structure.across},
         "tables": describe_tables(compiled, numbers=numbers),
-        **_of_module(module),
+        **_of_plugin(graph),
     }
 
 
@@ -62,30 +62,29 @@ def describe_tables(compiled: Compiled, *, numbers: bool = True) -> list[dict[st
     return tables
 
 
-def describe_rule(module: ModuleType, defaults: Parameters) -> dict[str, Any]:
+def describe_rule(rule: Rule, defaults: Parameters) -> dict[str, Any]:
     """The evidence that a rule gives, and its parameters. defaults: of every parameter."""
     reason = None
-    if hasattr(module, "looks_ahead"):
-        with plugin_errors(module, "evidence"):
-            reason = module.looks_ahead(defaults)
-    keys = getattr(module, "PROVIDES", ())
+    if rule.looks_ahead is not None:
+        with plugin_errors(rule, "evidence"):
+            reason = rule.looks_ahead(defaults)
     return {
         "kind": "evidence rule",
-        "gives": [key if isinstance(key, str) else list(key) for key in keys],
-        "inputs": list(getattr(module, "INPUTS", ())),
-        "detector_only": getattr(module, "TENTATIVE", None),
+        "gives": [key if isinstance(key, str) else list(key) for key in rule.provides],
+        "inputs": list(rule.inputs),
+        "detector_only": rule.tentative or None,
         "looks_ahead": reason,
-        "can_learn": hasattr(module, "fit"),
-        **_of_module(module),
+        "can_learn": rule.fit is not None,
+        **_of_plugin(rule),
     }
 
 
-def describe_detector(module: ModuleType) -> dict[str, Any]:
+def describe_detector(detector: Detector) -> dict[str, Any]:
     """Whether a detector needs `stereo` pictures, and its parameters."""
-    return {"kind": "detector", "stereo": bool(module.STEREO), **_of_module(module)}
+    return {"kind": "detector", "stereo": detector.stereo, **_of_plugin(detector)}
 
 
-def _of_module(module: ModuleType) -> dict[str, Any]:
+def _of_plugin(plugin: Plugin) -> dict[str, Any]:
     """The file of a plugin, its docstring and its parameters."""
     parameters = [
         {
@@ -97,10 +96,10 @@ def _of_module(module: ModuleType) -> dict[str, Any]:
             "range": spec.search_range if spec.is_searched else None,
             "meaning": spec.doc,
         }
-        for spec in getattr(module, "PARAMETERS", ())
+        for spec in plugin.parameters
     ]
-    about = inspect.cleandoc(module.__doc__ or "")
-    return {"file": str(module.__file__), "about": about, "parameters": parameters}
+    about = inspect.cleandoc(plugin.about)
+    return {"file": plugin.file, "about": about, "parameters": parameters}
 
 
 # --- as text -------------------------------------------------------------------------------------

@@ -135,12 +135,13 @@ def exploration_text(found: Exploration, style: str) -> str:
     edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
     edges = edges.set_index(pd.Index(removed + edges["edge"], name="edge"))
-    shown = [["gain", "gain_low", "gain_high", "chosen" if max(edges["chosen"]) > 1 else "numbers"]]
+    last = "chosen" if max(edges["chosen"]) > 1 else "free_parameters"
+    shown = [["gain", "gain_low", "gain_high", last]]
     if edges["over_drives_low"].notna().any():
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
-    about = f"gain {interval}, {gain['numbers']:+} free numbers\n  (chosen by its score on these"
-    about += " frames, which is therefore optimistic)"
+    about = f"gain {interval}, {gain['free_parameters']:+} free parameters\n  (chosen by its score"
+    about += " on these frames, which is therefore optimistic)"
     about = about if found.best else "no edge has a clear gain"
     parts: list[str | Table] = [
         f"{len(found.structures)} graphs were fitted; {found.judge}",

@@ -15,11 +15,12 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from egolane_pgm.contracts import Graph
 from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameter, Parameters, Value, resolve_parameters
-from egolane_pgm.plugins import plugin_names
+from egolane_pgm.plugins import load_plugin, plugin_names, read_module
 from egolane_pgm.types import Beliefs, Evidence, Observed
 
 METHODS = ("assumed_density", "exact")
@@ -30,37 +31,42 @@ few = settings(max_examples=20, deadline=None)
 
 def graph_names() -> list[str]:
     """Every graph of the package."""
-    return plugin_names("graphs")
+    return plugin_names(Graph)
 
 
-def graph(name: str) -> ModuleType:
-    return importlib.import_module(f"egolane_pgm.graphs.{name}")
+def graph(name: str) -> Graph:
+    return load_plugin(Graph, name, name)
 
 
-def graph_inputs(module: ModuleType) -> tuple[str, ...]:
-    return tuple(getattr(module, "INPUTS", ()))
+def tables_of(graph: Graph, n_lanes: int, parameters: Parameters) -> Sequence[Table]:
+    assert graph.tables is not None
+    return graph.tables(n_lanes, parameters)
 
 
-def compiled_graph(module: ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:
-    network = declare(module.tables(n_lanes, parameters), module.OBSERVED)
-    return compile(
-        network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
-    )
+def compiled_graph(graph: Graph | ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:
+    if isinstance(graph, ModuleType):
+        graph = read_module(Graph, graph, graph.__name__, "graph")
+    assert graph.observed is not None
+    network = declare(tables_of(graph, n_lanes, parameters), graph.observed)
+    return compile(network, hidden=graph.hidden, observed=graph.observed, inputs=graph.inputs)
+
+
+def small(name: str) -> dict[str, Value]:
+    """Values that keep a graph of the package small."""
+    module = importlib.import_module(f"egolane_pgm.graphs.{name}")
+    return dict(vars(module).get("SMALL", {}))
 
 
 @functools.cache
 def template(name: str, n_lanes: int) -> Compiled:
     """A graph of the package, small and with its default parameters."""
-    module = graph(name)
-    small = resolve_parameters(module.PARAMETERS, getattr(module, "SMALL", {}), n_lanes)
-    return compiled_graph(module, n_lanes, small)
+    values = resolve_parameters(graph(name).parameters, small(name), n_lanes)
+    return compiled_graph(graph(name), n_lanes, values)
 
 
 def small_parameters(name: str, n_lanes: int, rng: np.random.Generator) -> Parameters:
     """Random values that fit the template."""
-    module = graph(name)
-    drawn = draw_parameters(module.PARAMETERS, n_lanes, rng)
-    return {**drawn, **getattr(module, "SMALL", {})}
+    return {**draw_parameters(graph(name).parameters, n_lanes, rng), **small(name)}
 
 
 def draw_parameters(

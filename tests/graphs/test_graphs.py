@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from types import ModuleType
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.contracts import Graph
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
@@ -24,8 +24,8 @@ from tests.conformance.networks import (
     draw_evidence,
     draw_parameters,
     graph,
-    graph_inputs,
     graph_names,
+    tables_of,
 )
 
 GRAPHS = graph_names()
@@ -33,7 +33,7 @@ every_graph = pytest.mark.parametrize("name", GRAPHS)
 
 
 def defaults(name: str, n_lanes: int, **given: object) -> Parameters:
-    return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
+    return resolve_parameters(graph(name).parameters, given, n_lanes)
 
 
 def test_the_papers_graph_and_its_variants_are_found() -> None:
@@ -47,14 +47,14 @@ def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
 ) -> None:
     module, parameters = graph(name), defaults(name, n_lanes)
     roles = {
-        "hidden": module.HIDDEN,
-        "observed": module.OBSERVED,
-        "inputs": graph_inputs(module),
-        "values": getattr(module, "VALUES", {}),
+        "hidden": module.hidden,
+        "observed": module.observed,
+        "inputs": module.inputs,
+        "values": (module.values or {}),
     }
-    network = declare(module.tables(n_lanes, parameters), module.OBSERVED)
+    network = declare(tables_of(module, n_lanes, parameters), module.observed)
     of_network = compile(network, **roles)
-    of_tables = compile_tables(module.tables(n_lanes, parameters), **roles)
+    of_tables = compile_tables(tables_of(module, n_lanes, parameters), **roles)
     for part in ("state_nodes", "inputs", "cardinality", "values", "observed"):
         assert getattr(of_tables, part) == getattr(of_network, part), part
     np.testing.assert_array_equal(of_tables.prior, of_network.prior)
@@ -65,7 +65,7 @@ def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
 
 @every_graph
 def test_parameters_have_a_default_that_passes_their_own_check_and_a_meaning(name: str) -> None:
-    specs = graph(name).PARAMETERS
+    specs = graph(name).parameters
     assert len({spec.name for spec in specs}) == len(specs)
     for spec in specs:
         assert spec.check(spec.default, 3, spec.name) == spec.default
@@ -82,10 +82,10 @@ def test_both_filters_agree_with_brute_force_on_tiny_cases(name: str, method: st
     for seed in range(3):
         rng = np.random.default_rng(seed)
         n_lanes = 2 if seed else 3
-        parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+        parameters = draw_parameters(module.parameters, n_lanes, rng)
         compiled = compiled_graph(graph(name), n_lanes, parameters)
         evidence = draw_evidence(compiled, 2, rng)
-        right = brute_force(module.tables(n_lanes, parameters), module.HIDDEN, evidence, method)
+        right = brute_force(tables_of(module, n_lanes, parameters), module.hidden, evidence, method)
         assert_filters_agree(compiled, evidence, {method: right})
 
 
@@ -95,8 +95,8 @@ def test_new_parameters_in_a_compiled_graph_equal_a_graph_built_with_them(name: 
     for n_lanes in (1, 3, 4):
         rng = np.random.default_rng(n_lanes)
         compiled = compiled_graph(graph(name), n_lanes, defaults(name, n_lanes))
-        parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
-        quick = with_tables(compiled, module.tables(n_lanes, parameters))
+        parameters = draw_parameters(module.parameters, n_lanes, rng)
+        quick = with_tables(compiled, tables_of(module, n_lanes, parameters))
         assert_same_arrays(quick, compiled_graph(graph(name), n_lanes, parameters))
 
 
@@ -114,7 +114,7 @@ def assert_same_arrays(ours: Compiled, right: Compiled) -> None:
 def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lanes: int) -> None:
     module = graph(name)
     rng = np.random.default_rng(seed)
-    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
+    parameters = draw_parameters(module.parameters, n_lanes, rng)
     if "map_wrong" in parameters:
         # With fewer lanes than values of Lane the mirrored belief is no reversed array.
         parameters["map_wrong"] = 0.0
@@ -122,8 +122,8 @@ def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lan
         k: tuple(reversed(v)) if isinstance(v, tuple) else v for k, v in parameters.items()
     }
     compiled = compiled_template(name, n_lanes)
-    here = with_tables(compiled, module.tables(n_lanes, parameters))
-    there = with_tables(compiled, module.tables(n_lanes, mirrored_parameters))
+    here = with_tables(compiled, tables_of(module, n_lanes, parameters))
+    there = with_tables(compiled, tables_of(module, n_lanes, mirrored_parameters))
     evidence = draw_evidence(compiled, 6, rng)
     mirrored = Evidence(
         {k: mirror(k, v) for k, v in evidence.likelihoods.items()},
@@ -134,16 +134,16 @@ def test_the_mirrored_road_gives_the_mirrored_belief(name: str, seed: int, n_lan
         other = filter_beliefs(there, mirrored, method)
         np.testing.assert_allclose(other.lane, belief.lane[:, ::-1], rtol=0, atol=1e-9)
         np.testing.assert_allclose(other.log_evidence, belief.log_evidence, rtol=0, atol=1e-9)
-        for node in set(module.HIDDEN) - {"Lane"}:
+        for node in set(module.hidden) - {"Lane"}:
             seen = other.marginals[node][:, mirrored_values(module, node, belief.marginals[node])]
             np.testing.assert_allclose(seen, belief.marginals[node], rtol=0, atol=1e-9)
 
 
-def mirrored_values(module: ModuleType, node: str, marginal: np.ndarray) -> list[int]:
+def mirrored_values(module: Graph, node: str, marginal: np.ndarray) -> list[int]:
     """The values of a node as seen in a mirror: LEFT is RIGHT."""
     if node == "RoadPosition":
         return list(range(marginal.shape[1]))[::-1]
-    names = getattr(module, "VALUES", {}).get(node, range(marginal.shape[1]))
+    names = (module.values or {}).get(node, range(marginal.shape[1]))
     other_side = {"LEFT": "RIGHT", "RIGHT": "LEFT"}
     return [names.index(other_side.get(name, name)) for name in names]
 
@@ -170,7 +170,7 @@ def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.n
 
 def test_the_papers_tables_are_the_papers_rows() -> None:
     parameters = defaults("sensor_failure", 3, p1=0.9, p2=0.8, p3=0.7, p4=0.6, sigma1=0.5)
-    tables = {t.node: t for t in graph("sensor_failure").tables(3, parameters)}
+    tables = {t.node: t for t in tables_of(graph("sensor_failure"), 3, parameters)}
     # Rows are the value before, columns the value now, OK first.
     np.testing.assert_allclose(tables["SensorState", 1].values, [[0.9, 0.1], [0.2, 0.8]])
     np.testing.assert_allclose(tables["WOR", 1].values, [[0.7, 0.3], [0.4, 0.6]])

@@ -23,9 +23,9 @@ from tests.conformance.networks import (
 
 def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
     module = graph(name)
-    known = {spec.name for spec in module.PARAMETERS}
+    known = {spec.name for spec in module.parameters}
     own = {k: v for k, v in given.items() if k in known}
-    parameters = resolve_parameters(module.PARAMETERS, own, n_lanes)
+    parameters = resolve_parameters(module.parameters, own, n_lanes)
     return compiled_graph(module, n_lanes, parameters)
 
 
@@ -42,7 +42,7 @@ def test_a_variant_with_these_parameters_is_the_graph_that_it_extends(
     name: str, base: str, given: dict[str, Any], n_lanes: int
 ) -> None:
     rng = np.random.default_rng(n_lanes)
-    parameters = draw_parameters(graph(base).PARAMETERS, n_lanes, rng)
+    parameters = draw_parameters(graph(base).parameters, n_lanes, rng)
     own = {key: parameters.get(value, value) for key, value in given.items()}
     ours, right = (
         compiled(name, n_lanes, {**parameters, **own}),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.contracts import Graph
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.types import InputError
@@ -20,6 +20,7 @@ from tests.conformance.networks import (
     brute_force,
     compiled_graph,
     draw_evidence,
+    tables_of,
 )
 from tests.kits.drives import refused, run, with_changes, write_drive
 
@@ -47,9 +48,9 @@ SHIPPED = [
 ]
 
 
-def load(folder: Path, text: str) -> ModuleType:
+def load(folder: Path, text: str) -> Graph:
     (folder / "g.yaml").write_text(textwrap.dedent(text))
-    return load_plugin("graphs", str(folder / "g.yaml"), "graph")
+    return load_plugin(Graph, str(folder / "g.yaml"), "graph")
 
 
 def changed(**changes: Any) -> str:
@@ -60,7 +61,7 @@ def changed(**changes: Any) -> str:
 def refusal(folder: Path, text: str) -> str:
     def declared() -> None:
         module = load(folder, text)
-        declare(module.tables(2, {}), module.OBSERVED)
+        declare(tables_of(module, 2, {}), module.observed)
 
     with pytest.raises(InputError) as caught:
         declared()
@@ -69,8 +70,8 @@ def refusal(folder: Path, text: str) -> str:
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_shipped_graph_in_yaml_compiles(path: Path) -> None:
-    module = load_plugin("graphs", str(path), "graph")
-    n_lanes = next(t for t in module.tables(0, {}) if t.node == ("Lane", 0)).values.size
+    module = load_plugin(Graph, str(path), "graph")
+    n_lanes = next(t for t in tables_of(module, 0, {}) if t.node == ("Lane", 0)).values.size
     assert compiled_graph(module, n_lanes, {}).cardinality["Lane"] == n_lanes
 
 
@@ -104,9 +105,9 @@ def test_the_numbers_stand_in_the_order_of_the_parents(tmp_path: Path) -> None:
           E: {rows: {of: [S], values: [[0.2, 0.3, 0.5], [0, 0, 1]]}}
         """,
     )
-    assert (module.__doc__, module.PARAMETERS) == ("all that a file may say", ())
-    assert (module.VALUES, module.UNUSED) == ({"S": ("A", "B")}, ("WOR", ("X", "Y")))
-    tables = {table.node: table for table in module.tables(2, {})}
+    assert (module.about, module.parameters) == ("all that a file may say", ())
+    assert (module.values, module.unused) == ({"S": ("A", "B")}, ("WOR", ("X", "Y")))
+    tables = {table.node: table for table in tables_of(module, 2, {})}
     assert tables["Lane", 1].parents == (("S", 0), ("Lane", 0))
     np.testing.assert_array_equal(tables["Lane", 1].values[1], [[0.75, 0.25], [0.5, 0.5]])
     for s in (0, 1):
@@ -115,7 +116,7 @@ def test_the_numbers_stand_in_the_order_of_the_parents(tmp_path: Path) -> None:
     network = compiled_graph(module, 2, {})
     evidence = draw_evidence(network, 2, np.random.default_rng(0))
     for method in METHODS:
-        right = brute_force(module.tables(2, {}), module.HIDDEN, evidence, method)
+        right = brute_force(tables_of(module, 2, {}), module.hidden, evidence, method)
         assert_filters_agree(network, evidence, {method: right})
 
 

@@ -123,7 +123,7 @@ def test_every_discrete_graph_agrees_with_adding_up_every_trajectory(name: str) 
     module = graph(name)
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        parameters = draw_parameters(module.PARAMETERS, 2, rng)
+        parameters = draw_parameters(module.parameters, 2, rng)
         compiled = compiled_graph(module, 2, parameters)
         evidence = draw_evidence(compiled, 2, rng)
         lane = np.array([FREE, int(rng.integers(2))])
@@ -133,7 +133,7 @@ def test_every_discrete_graph_agrees_with_adding_up_every_trajectory(name: str) 
 def drawn_case(seed: int, n_frames: int) -> tuple[Compiled, list[Table], Evidence, IntArray]:
     rng = np.random.default_rng(seed)
     module = graph("sensor_failure")
-    parameters = draw_parameters(module.PARAMETERS, 3, rng)
+    parameters = draw_parameters(module.parameters, 3, rng)
     compiled = compiled_graph(module, 3, parameters)
     lane = np.where(rng.random(n_frames) < 0.7, FREE, rng.integers(3, size=n_frames))
     evidence = draw_evidence(compiled, n_frames, rng)
@@ -187,7 +187,7 @@ def test_a_known_value_that_cannot_be_is_left_out_and_flagged() -> None:
 
 def test_functions_and_tables_that_an_input_selects_are_not_counted() -> None:
     module = graph("position_in_lane")
-    small = {**{p.name: p.default for p in module.PARAMETERS}, "cells": 2, "motion_bins": 3}
+    small = {**{p.name: p.default for p in module.parameters}, "cells": 2, "motion_bins": 3}
     compiled = compiled_graph(module, 2, small)
     assert counted_tables(compiled) == {}
 

@@ -56,7 +56,7 @@ def test_what_was_possible_stays_so_and_nothing_else_becomes_so(seed: int) -> No
 
 def paper_case(n_lanes: int = 3, **changes: float) -> Compiled:
     module = graph("sensor_failure")
-    defaults: dict[str, Any] = {p.name: p.default for p in module.PARAMETERS}
+    defaults: dict[str, Any] = {p.name: p.default for p in module.parameters}
     parameters: Parameters = {**defaults, **changes}
     return compiled_graph(module, n_lanes, parameters)
 

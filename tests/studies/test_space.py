@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Detector, Graph, Rule
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
 from egolane_pgm.parameters import Parameter, not_searched, resolve_parameters
-from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
+from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.studies.space import (
     SearchSpace,
     make_space,
@@ -21,7 +22,7 @@ from egolane_pgm.types import InputError
 from tests.kits.studies import points_at
 
 CHOICE = Parameter("noise", "choice", "even", "", search=None, choices=("even", "ignore"))
-SPECS = (*declared_parameters(counting, sensor_failure), CHOICE)
+SPECS = (*counting.PARAMETERS, *sensor_failure.PARAMETERS, CHOICE)
 CURRENT = resolve_parameters(SPECS, {}, 3)
 
 
@@ -47,9 +48,9 @@ SEARCHED: dict[str, set[str]] = {
 
 @pytest.mark.parametrize("name", SEARCHED)
 def test_what_is_searched_in_the_packages_plugins_stays_as_it_was(name: str) -> None:
-    folders = [f for f in ("graphs", "evidence", "detectors") if name in plugin_names(f)]
-    (module,) = [load_plugin(folder, name, "x") for folder in folders]
-    assert {spec.name for spec in module.PARAMETERS if spec.is_searched} == SEARCHED[name]
+    kinds: list[Any] = [k for k in (Graph, Rule, Detector) if name in plugin_names(k)]
+    (module,) = [load_plugin(kind, name, "x") for kind in kinds]
+    assert {spec.name for spec in module.parameters if spec.is_searched} == SEARCHED[name]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +101,7 @@ def test_a_graph_of_ones_own_is_searched_without_saying_so() -> None:
 
 
 def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
-    specs = declared_parameters(counting, wor_on_lane)
+    specs = (*counting.PARAMETERS, *wor_on_lane.PARAMETERS)
     current = resolve_parameters(specs, {}, 3)
     found = make_space(specs, current, {}, 3, "x")
     mine = {**current, "p3": (0.2, 0.4, 0.6)}

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Detector, Rule
 from egolane_pgm.inference.compile import compile_tables
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
@@ -18,17 +19,17 @@ from egolane_pgm.views.description import (
     description_text,
 )
 from egolane_pgm.views.tables import line_width
-from tests.conformance.networks import graph, graph_inputs, graph_names, template
+from tests.conformance.networks import graph, graph_names, tables_of, template
 
 
 def described(name: str, *, numbers: bool = False, n_lanes: int = 3) -> dict[str, Any]:
     module = graph(name)
-    parameters = resolve_parameters(module.PARAMETERS, {}, n_lanes)
+    parameters = resolve_parameters(module.parameters, {}, n_lanes)
     compiled = compile_tables(
-        module.tables(n_lanes, parameters),
-        hidden=module.HIDDEN,
-        observed=module.OBSERVED,
-        inputs=graph_inputs(module),
+        tables_of(module, n_lanes, parameters),
+        hidden=module.hidden,
+        observed=module.observed,
+        inputs=module.inputs,
         values=module.VALUES if hasattr(module, "VALUES") else {},
     )
     return {"name": name, **describe_graph(module, compiled, numbers=numbers)}
@@ -91,13 +92,13 @@ def test_a_description_of_a_graph_fits_a_terminal(name: str) -> None:
     for numbers in (False, True):
         text = description_text(described(name, numbers=numbers))
         assert max(map(len, text.splitlines())) <= line_width()
-    for spec in graph(name).PARAMETERS:
+    for spec in graph(name).parameters:
         assert f"\n  {spec.name} " in text
 
 
 def rule(name: str, **given: Value) -> dict[str, Any]:
-    module = load_plugin("evidence", name, "evidence")
-    defaults = {spec.name: spec.default for spec in module.PARAMETERS}
+    module = load_plugin(Rule, name, "evidence")
+    defaults = {spec.name: spec.default for spec in module.parameters}
     return {"name": name, **describe_rule(module, {**defaults, **given})}
 
 
@@ -117,9 +118,9 @@ def test_a_rule_is_described_by_its_evidence() -> None:
     assert max(map(len, whole.splitlines())) <= line_width()
 
 
-@pytest.mark.parametrize("name", plugin_names("detectors"))
+@pytest.mark.parametrize("name", plugin_names(Detector))
 def test_a_detector_needs_one_camera_or_two(name: str) -> None:
-    module = load_plugin("detectors", name, "detector")
+    module = load_plugin(Detector, name, "detector")
     found = {"name": name, **describe_detector(module)}
     text = description_text(found)
     assert f"cameras: {'two, as a stereo pair' if name.startswith('s') else 'one'}" in text

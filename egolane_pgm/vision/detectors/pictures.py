@@ -17,7 +17,7 @@ from egolane_pgm.types import NOTE, InputError, LineLog, problems_in
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import (
-    Detector,
+    ReadyDetector,
     check_pair,
     detect,
     find_detector,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 def open_pictures(
     experiment: Experiment,
-) -> tuple[Detector, Camera, PictureFiles, PictureFiles | None]:
+) -> tuple[ReadyDetector, Camera, PictureFiles, PictureFiles | None]:
     """Return the detector of an experiment, its camera and its pictures (left, and right or None).
 
     Raises InputError, with the key, for anything that cannot be used.
@@ -131,7 +131,7 @@ def detect_pictures(
     return log, stopped, left
 
 
-def detector_of(experiment: Experiment, key: str) -> Detector:
+def detector_of(experiment: Experiment, key: str) -> ReadyDetector:
     """Return the detector of an experiment. Raises InputError, with the key that needs it, if
     the recording has none."""
     recording = experiment.recording

@@ -6,35 +6,35 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+from egolane_pgm.contracts import Detector, DetectorStep
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.detectors import FrameLines, Step
+from egolane_pgm.vision.detectors import FrameLines
 
 
 @dataclass(frozen=True)
-class Detector:
-    """A detector's module and its checked parameters. where: the beginning of messages."""
+class ReadyDetector:
+    """A detector with its checked parameters. where: the beginning of messages."""
 
     name: str
-    module: ModuleType
+    plugin: Detector
     parameters: Mapping[str, Value]
     where: str
 
     @property
     def is_stereo(self) -> bool:
         """Whether it needs the pictures of two cameras."""
-        return bool(self.module.STEREO)
+        return self.plugin.stereo
 
 
 def find_detector(
     name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
-) -> Detector:
+) -> ReadyDetector:
     """Find a detector by its name, or in a file relative to `base`, and check its parameters.
 
     - given: values of parameters; the others keep their defaults
@@ -44,17 +44,16 @@ def find_detector(
     Raises InputError for an unknown detector or parameter and for a wrong value.
     """
     own = str(base / name) if name.endswith(".py") else name
-    module = load_plugin("detectors", own, where)
-    specs = getattr(module, "PARAMETERS", ())
-    values = resolve_parameters(specs, given, 1, given_by or f"{where}: parameters")
+    plugin = load_plugin(Detector, own, where)
+    values = resolve_parameters(plugin.parameters, given, 1, given_by or f"{where}: parameters")
     for key, value in values.items():
         # A user's file (a program, a network), relative to `base` as well.
         if isinstance(value, str) and value.endswith((".py", ".yaml", ".yml")):
             values[key] = os.path.realpath(base / value)
-    return Detector(name, module, values, where)
+    return ReadyDetector(name, plugin, values, where)
 
 
-def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
+def check_pair(detector: ReadyDetector, camera: Camera, has_right: bool, where: str) -> None:
     """Raise InputError if a stereo detector has no second camera, or a mono detector has one."""
     if detector.is_stereo and not has_right:
         raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
@@ -67,15 +66,14 @@ def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) 
         )
 
 
-def start(detector: Detector, camera: Camera) -> Step:
+def start(detector: ReadyDetector, camera: Camera) -> DetectorStep:
     """Prepare a detector for the first picture of a drive."""
-    with plugin_errors(detector.module, detector.where):
-        step: Step = detector.module.start(camera, detector.parameters)
-    return step
+    with plugin_errors(detector.plugin, detector.where):
+        return detector.plugin.start(camera, detector.parameters)
 
 
 def detect(
-    detector: Detector, camera: Camera, pictures: Iterable[Picture]
+    detector: ReadyDetector, camera: Camera, pictures: Iterable[Picture]
 ) -> Iterator[tuple[int, FrameLines]]:
     """Run a detector over pictures; yield the frame id and the checked lines of each.
 
@@ -85,7 +83,7 @@ def detect(
     for picture in pictures:
         where = f"{detector.where}: {detector.name}: frame {picture.frame_id}"
         try:
-            with plugin_errors(detector.module, where):
+            with plugin_errors(detector.plugin, where):
                 lines = step(picture)
         except InputError as error:
             text = str(error).removeprefix(f"{where}: ")

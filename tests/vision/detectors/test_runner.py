@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Detector
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
-from egolane_pgm.vision.detectors import FrameLines, runner
+from egolane_pgm.vision.detectors import FrameLines, ml, runner
 from tests.kits.drives import refused
 
 GOOD: dict[str, Any] = {
@@ -55,7 +55,7 @@ def test_lines_of_another_kind_are_refused(name: str, value: Any, expected: str)
     ("more", "lri", "expected"),
     [
         ("", "np.nan", "frame 0: lines: lri is not finite"),
-        ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS is not a tuple of Parameter"),
+        ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS: needs tuple[Parameter, ...], got"),
     ],
 )
 def test_an_own_detector_that_keeps_no_promise_is_named(
@@ -74,9 +74,8 @@ def test_an_own_detector_that_keeps_no_promise_is_named(
 def test_a_stereo_detector_needs_two_cameras_and_how_far_they_are_apart() -> None:
     one = Camera(width=640, height=360, fx=500, fy=500, cx=320, cy=180, height_m=1.5)
     for is_stereo in (False, True):
-        module = ModuleType("mine")
-        module.STEREO = is_stereo  # type: ignore[attr-defined]
-        detector = runner.Detector("mine", module, {}, "recording.detector")
+        mine = Detector(name="mine", stereo=is_stereo, start=ml.start)
+        detector = runner.ReadyDetector("mine", mine, {}, "recording.detector")
         if not is_stereo:
             runner.check_pair(detector, one, False, "here")
             with pytest.raises(InputError, match="here: detector mine has one camera"):

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
+from egolane_pgm.contracts import Graph, Rule
 from egolane_pgm.inference.compile import Compiled, compile_tables
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import Model
+from egolane_pgm.model import Model, graph_in_memory
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.studies.fits import apply_fit, fit_learn
-from egolane_pgm.studies.graph_file import graph_yaml
-from tests.conformance.networks import draw_graph, graph_names
+from egolane_pgm.tools.files import write_yaml
+from tests.conformance.networks import draw_graph, graph_names, tables_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import simulated, write_drive
 from tests.kits.studies import drive_of
@@ -22,12 +23,14 @@ from tests.kits.studies import drive_of
 DISCRETE = [name for name in graph_names() if not name.startswith("position_in")]
 
 
-def read_back(model: Model, file: Path) -> tuple[Compiled, object]:
-    """The network of the file that a model's graph is written to, and its module."""
-    file.write_text(yaml.safe_dump(graph_yaml(model, "written"), sort_keys=False))
-    module = load_plugin("graphs", str(file), "graph")
-    roles = {"hidden": module.HIDDEN, "observed": module.OBSERVED, "inputs": module.INPUTS}
-    return compile_tables(module.tables(model.n_lanes, {}), **roles), module
+def read_back(model: Model, file: Path) -> tuple[Compiled, Graph]:
+    """The network of the file that a model's graph is written to, and the graph in it."""
+    write_yaml(file, graph_in_memory(model, "unknown").keys or {})
+    graph = load_plugin(Graph, str(file), "graph")
+    assert graph.hidden
+    assert graph.observed
+    roles: Any = {"hidden": graph.hidden, "observed": graph.observed, "inputs": graph.inputs}
+    return compile_tables(tables_of(graph, model.n_lanes, {}), **roles), graph
 
 
 def assert_same(ours: Compiled, theirs: Compiled) -> None:
@@ -46,19 +49,18 @@ def test_every_discrete_graph_can_be_learned_and_written(name: str, tmp_path: Pa
     assert fitted
     learned = apply_fit(drive.model, fitted)
     assert (learned.compiled.transition != drive.model.compiled.transition).any()
-    read, module = read_back(learned, tmp_path / "g.yaml")
+    read, graph = read_back(learned, tmp_path / "g.yaml")
     assert_same(read, learned.compiled)
     own = drive.model.graph
-    for name, default in (("HIDDEN", ()), ("OBSERVED", ()), ("VALUES", {}), ("UNUSED", ())):
-        assert getattr(module, name, default) == getattr(own, name, default)
+    assert (graph.hidden, graph.observed, graph.unused) == (own.hidden, own.observed, own.unused)
+    assert graph.values == (own.values or {})
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> None:
     """Inputs, functions and joint evidence too; a graph of one's own may have all of them."""
     compiled = draw_graph(np.random.default_rng(seed)).compiled()
-    (tmp_path / "own.py").write_text("def build(n, p): ...\n")
-    module = load_plugin("graphs", str(tmp_path / "own.py"), "graph")
     experiment = load_experiment(simulated(), n_lanes=3)
-    model = Model(experiment, module, module, {}, compiled, frozenset())
+    rule = load_plugin(Rule, "counting", "evidence")
+    model = Model(experiment, rule, Graph(name="own"), {}, compiled, frozenset())
     assert_same(read_back(model, tmp_path / "g.yaml")[0], compiled)
