@@ -91,6 +91,12 @@ def test_the_annotated_lane_is_where_the_vehicle_is_outside_crossings(
     assert np.abs(np.diff(road.position_m)).max() < width / 2
 
 
+def test_lane_changes_take_0_6_to_1_7_times_the_median_duration() -> None:
+    world = World(n_frames=20_000, change_s=5, change_spread=3, crossing_share=1, min_stay_s=1)
+    lengths = stretches(simulate_road(world, 0).is_crossing)
+    assert (min(lengths), max(lengths)) == (30, 85)
+
+
 @pytest.mark.parametrize("flips_at", [1.0, 0.65, 0.0])
 def test_the_label_flips_at_the_configured_part_of_the_crossing(flips_at: float) -> None:
     road = simulate_road(World(n_frames=3000, change_s=6, label_flips_at=flips_at), 5)

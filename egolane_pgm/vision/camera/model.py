@@ -166,14 +166,6 @@ def axes(camera: Camera) -> FloatArray:
     return np.stack([right, math.cos(roll) * down - math.sin(roll) * level, forward])
 
 
-def matrix(camera: Camera) -> FloatArray:
-    """The pinhole matrix, (3, 3)."""
-    return np.array(
-        [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
-        dtype=np.float64,
-    )
-
-
 def road_to_image(
     camera: Camera, x: ArrayLike, y: ArrayLike, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:

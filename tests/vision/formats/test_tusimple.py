@@ -55,6 +55,20 @@ def test_a_clip_is_numbered_by_its_folder_and_a_picture_by_its_name(tmp_path: Pa
         assert log.frame_id.tolist() == [7, 40]
 
 
+@pytest.mark.parametrize(("first", "n_rows"), [(240, 48), (160, 56)])
+def test_results_for_the_benchmark_have_its_own_rows(
+    tmp_path: Path, first: int, n_rows: int
+) -> None:
+    result = {"raw_file": "a/1.jpg", "lanes": [[600 - 3 * k for k in range(n_rows)]]}
+    rows = list(range(first, 720, 10))
+    log, same = (
+        read(tusimple(tmp_path / "a.jsonl", [each]))
+        for each in (result, result | {"h_samples": rows})
+    )
+    assert np.isfinite(log.offset_m).all()
+    np.testing.assert_array_equal(log.offset_m, same.offset_m)
+
+
 @given(st.lists(st.floats(-8, 8), min_size=1, max_size=1), st.floats(-0.03, 0.03))
 def test_an_offset_comes_back_whatever_the_heading(offsets: list[float], heading: float) -> None:
     x = np.linspace(5, 45, 30)
