@@ -45,7 +45,7 @@ ColumnsGiven = Columns | Mapping[str, Any] | str | Sequence[str]
 _FLAGS = ("is_valid", "is_continuous", "is_crossing")
 _WHOLE = ("frame_id", "line", "lane")
 
-#: Columns of a line besides its offset.
+#: Columns of a line, without its offset.
 OF_LINE = ("is_valid", "is_continuous", "lri")
 
 #: The offset of a line in a table with a row per frame; `is_valid_1` and so on go with it.

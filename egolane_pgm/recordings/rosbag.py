@@ -63,7 +63,8 @@ def fields_of(bag: AnyReader, topic: str) -> Fields:
     of that name."""
     chosen = _connections(bag, topic)
     found = list(bag.messages(chosen))
-    types, kind = bag.typestore.fielddefs, chosen[0].msgtype
+    types = bag.typestore.fielddefs
+    kind = chosen[0].msgtype
     read = [bag.deserialize(raw, kind) for _, _, raw in found]
     fields = fields_of_objects(read, kind, types)
     is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
@@ -84,7 +85,7 @@ def _connections(bag: AnyReader, topic: str) -> list[Connection]:
 
 def time_of(value: Mapping[str, Any], logged_ns: int) -> float:
     """The time of a message, seconds: the stamp of its header, or its `timestamp` in Foxglove's
-    schemas; without one, or if it is zero, the time of recording.
+    schemas; the time of recording if there is no stamp or it is zero.
 
     >>> time_of({"header": {"stamp": {"sec": 12, "nanosec": 500_000_000}}}, 13_000_000_000)
     12.5

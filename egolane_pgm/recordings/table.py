@@ -121,7 +121,8 @@ def write_table(path: str | Path, log: LineLog) -> None:
     clips, whose borders a table does not keep, for another extension, and if the file cannot be
     written.
     """
-    path, table = Path(path), log.take(~log.is_missing).to_pandas().reset_index()
+    path = Path(path)
+    table = log.take(~log.is_missing).to_pandas().reset_index()
     if log.clip is not None:
         raise InputError(f"{log.source}: has several clips; a written file holds one drive")
     if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):

@@ -135,7 +135,7 @@ def make_directory(directory: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Raise InputError if nothing can be written at a path."""
+    """Raise InputError if a path cannot be written."""
     nearest = path.absolute().parent
     try:
         while not nearest.exists():

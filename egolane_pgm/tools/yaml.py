@@ -47,7 +47,8 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.tag == f"{_TAG}merge":
                 continue
-            key.tag, mark = f"{_TAG}str", key.start_mark
+            key.tag = f"{_TAG}str"
+            mark = key.start_mark
             if key.value in lines:
                 problem = f"key '{key.value}' was given in line {lines[key.value]}"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)

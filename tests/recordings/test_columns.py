@@ -22,7 +22,7 @@ from tests.kits.sensor_files import OFFSETS, foreign_table, per_line
 FOREIGN = "time_s=timestamp,line=track,offset_m=lateral_cm,unit=cm,left_positive=true"
 
 
-def test_a_table_in_foreign_words_has_the_lines_and_the_gap_that_went_in(tmp_path: Path) -> None:
+def test_a_table_with_foreign_names_keeps_its_lines_and_its_gap(tmp_path: Path) -> None:
     foreign_table(tmp_path / "a.csv")
     log = read_lines(tmp_path / "a.csv", columns=FOREIGN)
     seen = np.r_[0:50, 60:100]
@@ -57,7 +57,7 @@ def test_a_table_in_foreign_words_has_the_lines_and_the_gap_that_went_in(tmp_pat
     ],
 )
 @pytest.mark.parametrize("kind", ["csv", "memory"])
-def test_units_times_and_names_are_those_that_are_said(
+def test_given_units_times_and_names_are_used(
     tmp_path: Path, columns: dict[str, Any], keys: Any, kind: str
 ) -> None:
     table = per_line(**columns)
@@ -82,7 +82,7 @@ def test_a_list_of_columns_is_a_line_each() -> None:
     assert log.is_valid.tolist() == [[True, True], [False, False]]
 
 
-def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Path) -> None:
+def test_the_given_keys_are_in_the_yaml_of_the_result(tmp_path: Path) -> None:
     foreign_table(tmp_path / "a.csv")
     words = ("--n-lanes", 3, "--columns", FOREIGN, "--no-figures", "--out", tmp_path / "out")
     done("run", tmp_path / "a.csv", *words)
@@ -94,7 +94,7 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "message"),
     [
         ("ofset_m=y", "columns: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
         ("offset_m=z", "columns: offset_m: there is no column 'z'; there are frame_id, y, quality"),
@@ -107,18 +107,18 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
         ("offset_m=y,is_valid=quality", "quality (is_valid) is 3, not true, false, 1 or 0"),
     ],
 )
-def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str, said: str) -> None:
+def test_a_refusal_names_the_key_and_the_cure(tmp_path: Path, keys: str, message: str) -> None:
     (tmp_path / "a.csv").write_text("frame_id,y,quality\n1,2,3\n")
     with pytest.raises(InputError) as info:
         read_lines(tmp_path / "a.csv", columns=keys)
-    assert said in str(info.value)
+    assert message in str(info.value)
     assert "\n" not in str(info.value)
     given = ("--n-lanes", 3, "--columns", keys)
-    assert said.removeprefix("columns: ") in refused("run", tmp_path / "a.csv", *given)
+    assert message.removeprefix("columns: ") in refused("run", tmp_path / "a.csv", *given)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("stamp,offset_m\n1.7e18,2\n", "`columns: {frame_id: NAME}` or `{time_s: NAME"),
         (
@@ -130,10 +130,10 @@ def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str,
     ],
 )
 def test_a_table_without_frames_is_refused_with_a_cure(
-    tmp_path: Path, text: str, said: str
+    tmp_path: Path, text: str, message: str
 ) -> None:
     (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(InputError, match=re.escape(said)):
+    with pytest.raises(InputError, match=re.escape(message)):
         read_lines(tmp_path / "a.csv")
 
 
@@ -143,7 +143,7 @@ def test_lines_that_move_against_the_annotated_changes_are_warned_of() -> None:
     lane = drive.truth["true_lane"].to_numpy()
     assert sign_warning(drive.log, lane) == []
     mirrored = replace(drive.log, offset_m=-drive.log.offset_m)
-    (said,) = sign_warning(mirrored, lane)
-    assert "`columns: {left_positive: true}`" in said
-    assert "or do the lane numbers count from the right?" in said
+    (message,) = sign_warning(mirrored, lane)
+    assert "`columns: {left_positive: true}`" in message
+    assert "or do the lane numbers count from the right?" in message
     assert sign_warning(mirrored, np.ones_like(lane)) == []

@@ -48,16 +48,16 @@ def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         *((x, f"line 3: {x!r} is not") for x in ("3;1", "3;1;0;0", "3;x;0", "3;1;2", "lane")),
         ("1;2;0", "frame ids must increase, 1 is followed by 1"),
         ("0;2;0", "frame ids must increase, 1 is followed by 0"),
     ],
 )
-def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, said: str) -> None:
+def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, message: str) -> None:
     path = write(tmp_path / "gt.txt", f"1;1;0\n\n{line}\n4;1;0\n")
-    assert refused(path).startswith(said)
+    assert refused(path).startswith(message)
 
 
 def test_files_without_rows_or_text_are_refused(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:
         st.integers(-5, 10**12), st.tuples(st.integers(1, 9), st.booleans()), min_size=1
     )
 )
-def test_what_is_written_is_read_back(
+def test_written_rows_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, rows: dict[int, tuple[int, bool]]
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "truth.txt"
@@ -107,17 +107,17 @@ def test_lanes_that_are_missing_are_not_annotated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"frame_id": [1], "lanes": [1]}, "ground truth in memory: no column lane (did"),
         ({"frame_id": [1], "lane": [1.5]}, "ground truth in memory: row 1: lane is 1.5, not a"),
         ([1, 2], "ground_truth: [1, 2] is neither a file nor a DataFrame"),
     ],
 )
-def test_what_is_no_frame_of_lanes_is_refused(given: Any, said: str) -> None:
+def test_a_table_without_lanes_is_refused(given: Any, message: str) -> None:
     with pytest.raises(InputError) as info:
         truth_of(pd.DataFrame(given) if isinstance(given, dict) else given)
-    assert str(info.value).startswith(said)
+    assert str(info.value).startswith(message)
 
 
 TIMED = LineLog.from_rows(
@@ -145,7 +145,7 @@ def test_rows_by_time_belong_to_the_nearest_frame(
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         (
             "time_s,lane\n7,1\n8,1\n",
@@ -155,9 +155,11 @@ def test_rows_by_time_belong_to_the_nearest_frame(
         ("time_s,lan\n0.5,1\n", "no column lane"),
     ],
 )
-def test_rows_by_time_that_fit_no_frame_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+def test_rows_by_time_that_fit_no_frame_are_refused(
+    tmp_path: Path, rows: str, message: str
+) -> None:
     path = tmp_path / "truth.csv"
     path.write_text(rows)
     with pytest.raises(InputError) as info:
         read_ground_truth(path, log=TIMED)
-    assert str(info.value).startswith(f"{path}: {said}")
+    assert str(info.value).startswith(f"{path}: {message}")

@@ -87,7 +87,7 @@ def killed(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "options", "said"),
+    ("make", "options", "message"),
     [
         (lambda path: None, {}, ": no such file"),
         (of_bytes(b"frame_id,line\n"), {}, "cannot be read as a bag (File magic is invalid)"),
@@ -112,11 +112,11 @@ def killed(path: Path) -> None:
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
 )
-def test_what_cannot_be_read_is_refused(
-    tmp_path: Path, make: Callable[[Path], object], options: dict[str, Any], said: str
+def test_a_bag_that_cannot_be_read_is_refused(
+    tmp_path: Path, make: Callable[[Path], object], options: dict[str, Any], message: str
 ) -> None:
     make(tmp_path / "a.bag")
-    assert said in refused(tmp_path / "a.bag", **options)
+    assert message in refused(tmp_path / "a.bag", **options)
 
 
 # --- ROS 2 ---------------------------------------------------------------------------------------
@@ -163,7 +163,7 @@ def test_ros1_keeps_frame_id_over_frame_rate_and_its_stamps_where_they_are_asked
     assert_same(stamped, log)
 
 
-def test_without_a_stamp_in_the_header_the_time_is_that_of_recording(
+def test_without_a_stamp_in_the_header_the_time_of_recording_is_used(
     log: LineLog, tmp_path: Path
 ) -> None:
     stamps = [10**18 + k * 10**8 for k in range(len(log))]
@@ -194,11 +194,11 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     bag = write_bag2(tmp_path / "bag", replace(log, frame_id=np.arange(60) - 30))
     found = read_lines(bag, columns={"frame_id": None}).frame_id
     np.testing.assert_array_equal(found, np.arange(60))
-    said = refused(bag, columns=Columns(frame_id="header.seq"))
-    assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
+    message = refused(bag, columns=Columns(frame_id="header.seq"))
+    assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in message
 
 
-def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(tmp_path: Path) -> None:
+def test_positions_are_read_from_ros1_and_ros2_alike(tmp_path: Path) -> None:
     rows = [(START_S + k, 51.1 + k * 1e-4, 14.4) for k in range(3)]
     bag = write_fixes2(tmp_path / "bag", rows)
     found = read_positions(bag)

@@ -29,18 +29,18 @@ def test_lines_under_our_names_have_a_command_that_runs(tmp_path: Path, name: st
 
 
 @pytest.mark.parametrize(
-    ("name", "make", "said"),
+    ("name", "make", "message"),
     [
         ("a.csv", foreign_table, ["a.csv: 360 rows", "  lateral_cm               -555"]),
         ("a.bag", own_bag, ["): 100 messages; 10 per second, gaps: 0", "  c0    "]),
         ("a.mcap", json_mcap, ["): 100 messages; 10 per second, gaps: 0", "  c0    "]),
     ],
 )
-def test_lines_of_ones_own_are_described_with_what_is_missing(
-    tmp_path: Path, name: str, make: Callable[[Path], None], said: list[str]
+def test_foreign_lines_are_described_with_the_missing_column(
+    tmp_path: Path, name: str, make: Callable[[Path], None], message: list[str]
 ) -> None:
     make(tmp_path / name)
     shown = done("show", tmp_path / name).stdout
-    assert all(each in shown for each in said)
+    assert all(each in shown for each in message)
     assert "egolane run" not in shown
     assert "  to run it, name the columns with --columns: no column " in shown
