@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from egolane_pgm.recordings.decoding import Fields, fields_of_dicts
-from egolane_pgm.recordings.rosbag import Message, Topics, reading, time_of
+from egolane_pgm.recordings.rosbag import Message, Topics, time_of
 from egolane_pgm.tools.extras import needed
+from egolane_pgm.tools.files import reading
 from egolane_pgm.types import InputError
 
 with needed("an .mcap file outside ROS 2", "mcap"):

@@ -17,6 +17,7 @@ from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from egolane_pgm.recordings.decoding import Fields, fields_of_objects, stamp_of
+from egolane_pgm.tools.files import reading
 from egolane_pgm.types import InputError
 
 #: The topics of a file: message type and number of messages.
@@ -100,18 +101,3 @@ def time_of(value: Mapping[str, Any], logged_ns: int) -> float:
 def _seconds(ns: Any) -> Any:
     # Nanoseconds since 1970 have more digits than a float.
     return ns // 10**9 + ns % 10**9 / 1e9
-
-
-@contextmanager
-def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
-    """Turn any error of a library for damaged bytes into an InputError that names the file.
-
-    - what: the kind of file. cure: advice, for the message.
-    """
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except Exception as error:
-        problem = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
-        raise InputError(f"{path}: cannot be read as {what} ({problem}){cure}") from None

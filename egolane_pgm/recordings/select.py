@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from egolane_pgm.recordings.clock import step_of
 from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 
 #: Valid lines with an offset beyond this, metres, are warned of: no motorway is wider.
@@ -97,9 +98,7 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
 
 def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     """Frames per second of T frames, to four digits; None if unknown."""
-    if len(frame_id) < 2:
-        return None
-    step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
+    step = step_of(frame_id, time_s)
     return float(f"{1 / step:.4g}") if step > 0 else None
 
 

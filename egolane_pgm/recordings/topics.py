@@ -16,8 +16,9 @@ import pandas as pd
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns
+from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE
 from egolane_pgm.recordings.decoding import Fields, fields_of_dicts
+from egolane_pgm.recordings.lines import lines_of_columns
 from egolane_pgm.recordings.rosbag import Message, Topics
 from egolane_pgm.types import InputError, LineLog, near_word
 
@@ -106,7 +107,7 @@ def read_topic(
     - frame_rate: frames per second of messages with frame ids but without times.
     - columns: names of the fields; by default the published ones, or our own.
 
-    Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
+    Raises InputError as `messages` and `recordings.lines.lines_of_columns`.
     """
     path = Path(path)
     names: Any = columns or Columns()
@@ -117,7 +118,7 @@ def read_topic(
         if path.suffix == ".bag" and names["frame_id"] in table and names.get("time_s") is None:
             # The stamps of the published ROS 1 bags are times of processing: they jump by minutes
             # or are zero. Time is frame id over frame rate there.
-            del table["time_s"]
+            names["time_s"] = None
     return lines_of_columns(table, names, path, frame_rate, row=table.index.to_numpy())
 
 
@@ -135,7 +136,7 @@ def lines_of_messages(
     - frame_rate: frames per second of messages with frame ids but without times.
     - first: first frame id, if frames are numbered by their times.
 
-    Raises InputError as `recordings.columns.lines_of_columns`.
+    Raises InputError as `recordings.lines.lines_of_columns`.
 
     >>> from egolane_pgm.recordings.topics import lines_of_messages
     >>> from egolane_pgm.experiment import Columns

@@ -111,7 +111,7 @@ def test_lanes_that_are_missing_are_not_annotated() -> None:
     [
         ({"frame_id": [1], "lanes": [1]}, "ground truth in memory: no column lane (did"),
         ({"frame_id": [1], "lane": [1.5]}, "ground truth in memory: row 1: lane is 1.5, not a"),
-        ([1, 2], "ground_truth: [1, 2] is neither a file nor a DataFrame"),
+        ([1, 2], "ground truth in memory: [1, 2] is neither a file nor a DataFrame"),
     ],
 )
 def test_a_table_without_lanes_is_refused(given: Any, message: str) -> None:
@@ -149,7 +149,7 @@ def test_rows_by_time_belong_to_the_nearest_frame(
     [
         (
             "time_s,lane\n7,1\n8,1\n",
-            "no time_s is that of a frame; the frames are from 0.5 to",
+            "no row has the time of a frame; the frames are from 0.5 to",
         ),
         ("time_s,lane\n0.6,1\n0.5,1\n", "row 2: time_s must increase, 0.6 is followed by 0.5"),
         ("time_s,lan\n0.5,1\n", "no column lane"),

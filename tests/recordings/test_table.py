@@ -267,7 +267,7 @@ def test_a_frame_is_read_as_its_file(tmp_path: Path, extension: str) -> None:
         ({"frame_id": [1]}, "in memory: no column offset_m; the table has frame_id"),
         ({"frame_id": [1], "offset_m": [True]}, "in memory: row 1: offset_m is True, not a"),
         ({"frame_id": [1], "offset_m": [[1.0]]}, "in memory: row 1: offset_m is [1.0], not a"),
-        ("drive.csv", "recording: 'drive.csv' is neither a file nor a DataFrame"),
+        ("drive.csv", "in memory: 'drive.csv' is neither a file nor a DataFrame"),
     ],
 )
 def test_a_table_without_lines_is_refused(given: Any, message: str) -> None:
