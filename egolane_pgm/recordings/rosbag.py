@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, Nodetype
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from egolane_pgm.recordings import files_of
 from egolane_pgm.recordings.decoding import Fields, fields_of_objects, stamp_of
 from egolane_pgm.tools.files import reading
 from egolane_pgm.types import InputError
@@ -28,7 +29,7 @@ Topics = dict[str, tuple[str, int]]
 Message = tuple[float, Mapping[str, Any]]
 
 #: Advice for a damaged file.
-_CURE = (
+CURE = (
     "; if it was cut off or damaged, record or copy it again, or try `rosbag reindex` (.bag),"
     " `mcap recover` (.mcap) or `ros2 bag reindex`"
 )
@@ -36,10 +37,15 @@ _CURE = (
 
 @contextmanager
 def opened(path: Path) -> Iterator[AnyReader]:
-    """Open a bag. Raises InputError for any error of rosbags, also inside the block."""
+    """Open a bag. Raises InputError for any error of rosbags, also inside the block.
+
+    - path: a file, or a folder. Without metadata.yaml, all bags in the folder are read.
+    """
+    is_bag = path.is_file() or (path / "metadata.yaml").is_file()
+    paths = [path] if is_bag else files_of(path)
     # ROS 1 bags have all definitions; ROS 2 databases may lack the standard ones.
-    typestore = None if path.suffix == ".bag" else get_typestore(Stores.LATEST)
-    with reading(path, "a bag", _CURE), AnyReader([path], default_typestore=typestore) as bag:
+    typestore = None if paths[0].suffix == ".bag" else get_typestore(Stores.LATEST)
+    with reading(path, "a bag", CURE), AnyReader(paths, default_typestore=typestore) as bag:
         yield bag
 
 
@@ -76,11 +82,14 @@ def fields_of(bag: AnyReader, topic: str) -> Fields:
 
 def _connections(bag: AnyReader, topic: str) -> list[Connection]:
     chosen = [each for each in bag.connections if each.topic == topic]
-    for kind in {each.msgtype for each in chosen} - bag.typestore.fielddefs.keys():
-        raise InputError(
-            f"has no definition of {kind}; convert it to MCAP where that type is known:"
-            " `ros2 bag convert`"
-        )
+    for each in chosen:
+        kind, text = each.msgtype, each.msgdef
+        is_blank = text.format != MessageDefinitionFormat.NONE and not text.data.strip()
+        if kind not in bag.typestore.fielddefs or (is_blank and kind != "std_msgs/msg/Empty"):
+            raise InputError(
+                f"has no definition of {kind}; convert it to MCAP where that type is known:"
+                " `ros2 bag convert`"
+            )
     return chosen
 
 

@@ -1,7 +1,8 @@
-"""Describe a table or a bag as text, with the command that runs it if it has our names."""
+"""Describe a recording as text, with the command that runs it if it has our names."""
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,17 +11,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings import format_of, read_lines
 from egolane_pgm.recordings.columns import to_numbers
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.recordings.table import TABLES, read_columns
+from egolane_pgm.recordings.table import read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
+from egolane_pgm.tools.files import read_text, reading
 from egolane_pgm.types import InputError
 
 
 def show_recording(path: Path) -> str:
-    """Describe a table or a bag. Raises InputError for a file that cannot be read."""
-    if path.suffix.lower() in TABLES:
+    """Describe a recording. Raises InputError for another file, as `format_of`, or a damaged one."""
+    format = format_of(path)
+    if format == "tusimple":
+        return _labels(path)
+    if format == "table":
         table = read_columns(path)
         return "\n".join([f"{path}: {len(table)} rows", *_spans(table), *_command(path)])
     text = []
@@ -40,13 +45,27 @@ def show_recording(path: Path) -> str:
     return "\n".join(text or [f"{path}: has no topics"])
 
 
+def _labels(path: Path) -> str:
+    """Describe lanes in pictures, in the format of TuSimple: an entry per line of the file."""
+    with reading(path, "TuSimple labels"):
+        entries = [json.loads(line) for line in read_text(path).splitlines() if line.strip()]
+        n_lanes = [len(entry["lanes"]) for entry in entries]
+        found = f"{path}: {len(entries)} pictures, at most {max(n_lanes)} lanes each"
+    return f"{found}\n  to run it (N: number of lanes of the road):\n" + (
+        f"  egolane run {shlex.quote(str(path))} --n-lanes N --camera CAMERA.yaml"
+    )
+
+
 def _spans(table: pd.DataFrame) -> Iterator[str]:
-    """A line per column: smallest and largest number, or the first cells."""
+    """A line per column: smallest and largest number, counts of a flag, or the first cells."""
     for name, column in table.items():
+        is_flag = pd.api.types.infer_dtype(column) == "boolean"
         try:
-            values = to_numbers(Path(), "lri", column)
+            values = to_numbers(Path(), "", column, kind="flag" if is_flag else "number")
             known = values[~np.isnan(values)]
             span = f"{known.min():.10g} to {known.max():.10g}"
+            if is_flag:
+                span = f"true in {int(known.sum()):,} of {len(known):,}"
         except (InputError, ValueError):
             span = ", ".join(dict.fromkeys(str(cell)[:25] for cell in column[:3]))
         yield f"  {name:<24} {span}"
