@@ -114,8 +114,7 @@ def format_of(path: str | Path) -> str:
         )
     raise InputError(
         f"{path}: unknown extension '{path.suffix}' of a recording ({known_formats()}); name its"
-        " format, for a video or pictures a detector (recording.detector), or save a spreadsheet"
-        " as CSV"
+        " format, or of a video a detector (recording.detector); save a spreadsheet as CSV"
     )
 
 

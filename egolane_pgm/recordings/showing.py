@@ -21,7 +21,7 @@ from egolane_pgm.types import InputError
 
 
 def show_recording(path: Path) -> str:
-    """Describe a recording. Raises InputError for another file, as `format_of`, or a damaged one."""
+    """Describe a recording. Raises InputError for another file and for a damaged one."""
     format = format_of(path)
     if format == "tusimple":
         return _labels(path)
