@@ -57,8 +57,8 @@ class Column(NamedTuple):
     others: tuple[str, ...] = ()
 
 
-#: Texts of flags.
-_WORDS = {"true": "1", "false": "0"}
+#: Flags as text.
+_WORDS = {"true": True, "false": False}
 
 #: The type of a column without and with empty cells, by its kind.
 _TYPES = {
@@ -266,9 +266,9 @@ def to_numbers(
 def _number(cell: Any, is_flag: bool) -> float | None:
     """A cell as a number; NaN if it is empty, None if it is not a number."""
     if isinstance(cell, (str, bytes)):
-        cell = cell.strip().lower()
+        cell = cell.strip().lower() or None
         cell = _WORDS.get(cell, cell) if is_flag else cell
-    if cell is None or cell is pd.NA or cell is pd.NaT or cell in ("", b""):
+    if cell is None or cell is pd.NA or cell is pd.NaT:
         return np.nan
     is_number = isinstance(cell, (str, bytes, Real, Decimal, np.bool_))
     if is_number and (is_flag or not isinstance(cell, (bool, np.bool_))):

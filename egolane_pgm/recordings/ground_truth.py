@@ -36,7 +36,7 @@ def read_ground_truth(
     """Read the lane of each annotated frame, and the flag of a crossing into another lane.
 
     A row is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty rows are
-    skipped. A table (.csv, .parquet) with a column time_s is read as `truth_of` takes a DataFrame.
+    skipped. A table (.parquet, or .csv with a heading frame_id or time_s) is read by `truth_of`.
 
     - log: the frames, for a table by time.
     - extra_rows: further rows (frame, lane, crossing). The paper counts frame 0 of the Spanish
@@ -45,12 +45,16 @@ def read_ground_truth(
     Raises InputError, naming the line, for a malformed row, for a file without rows, and for frames
     that do not increase.
     """
-    table = Path(path)
-    is_csv = table.suffix.lower() == ".csv"
-    if table.suffix.lower() == ".parquet" or (is_csv and "time_s" in read_text(table)[:1000]):
-        return truth_of(read_columns(table), log, str(path))
+    path = Path(path)
+    kind = path.suffix.lower()
     rows: list[tuple[int, ...]] = []
-    for number, line in enumerate(read_text(Path(path)).splitlines(), start=1):
+    lines = [] if kind == ".parquet" else read_text(path).splitlines()
+    is_named = re.search(r"frame_id|time_s", "".join(lines[:1]))
+    if kind == ".parquet" or (kind == ".csv" and is_named):
+        known = truth_of(read_columns(path), log, str(path))
+        rows = [*known.astype(int).itertuples(name=None)]
+        lines = []
+    for number, line in enumerate(lines, start=1):
         if match := _ROW.fullmatch(line):
             rows.append(tuple(map(int, match.groups())))
         elif line.strip() and (number > 1 or re.search(r"\d", line)):
@@ -59,7 +63,7 @@ def read_ground_truth(
                 " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
             )
     if not rows:
-        raise InputError(f"{path}: has no row 'frame;lane;crossing'")
+        raise InputError(f"{path}: has no annotated row, 'frame;lane;crossing'")
     for extra in extra_rows:
         insort(rows, tuple(extra))
     frame_id, lane, crossing = np.array(rows).T

@@ -61,7 +61,7 @@ def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, messag
 
 
 def test_files_without_rows_or_text_are_refused(tmp_path: Path) -> None:
-    assert "has no row 'frame;lane;crossing'" in refused(
+    assert "has no annotated row, 'frame;lane;crossing'" in refused(
         write(tmp_path / "gt.txt", "frame;lane;crossing\n")
     )
     assert refused(tmp_path / "absent.txt") == "cannot be read: No such file or directory"
