@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ OF_LINE = ("is_valid", "is_continuous", "lri")
 class Column(NamedTuple):
     """A column of a table that comes in.
 
-    - kind: "number", "whole", "flag" (true or false), "time" (seconds) or "text".
+    - kind: "number", "whole", "flag" (true or false) or "time" (seconds).
     - is_needed: a table without the column is refused.
     - is_full: empty cells are refused.
     - others: further names of the column.
@@ -66,7 +67,6 @@ _TYPES = {
     "time": ("float64", "float64"),
     "whole": ("int64", "Int64"),
     "flag": ("bool", "boolean"),
-    "text": ("str", "object"),
 }
 
 
@@ -97,7 +97,7 @@ def checked(
     given: Any,
     declared: Mapping[str, Column],
     source: str,
-    names: Mapping[str, str] | None = None,
+    names: Mapping[str, str] = MappingProxyType({}),
 ) -> pd.DataFrame:
     """Check a table, and give each declared column our name and its type.
 
@@ -109,19 +109,17 @@ def checked(
     Raises InputError as `plain`, for a column that is missing, and as `to_numbers`.
     """
     table = plain(given, source)
-    names = names or {}
     for ours, (kind, is_needed, is_full, others) in declared.items():
-        theirs = names.get(ours) or next((n for n in (ours, *others) if n in table), ours)
+        theirs = names.get(ours) or next(filter(table.__contains__, (ours, *others)), ours)
         if theirs not in table:
             if is_needed or ours in names:
-                there = ", ".join(table) or "none"
-                near = near_word(theirs, table)
-                raise InputError(f"{source}: no column {theirs}{near}; the table has {there}")
+                near = f"{near_word(theirs, table)}; the table has {', '.join(table)}"
+                raise InputError(f"{source}: no column {theirs}{near}")
             continue
         cells = table[theirs]
         if kind == "time":
             cells = pd.Series(to_seconds(source, ours, cells, theirs))
-        elif kind != "text":
+        else:
             cells = pd.Series(to_numbers(source, ours, cells, theirs, kind=kind))
         is_empty = cells.isna().to_numpy(dtype=bool)
         if is_full and is_empty.any():

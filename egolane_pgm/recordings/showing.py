@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,18 +15,17 @@ from egolane_pgm.recordings.columns import to_numbers
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.table import read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
-from egolane_pgm.tools.files import read_text, reading
 from egolane_pgm.types import InputError
 
 
 def show_recording(path: Path) -> str:
     """Describe a recording. Raises InputError for another file and for a damaged one."""
     format = format_of(path)
-    if format == "tusimple":
-        return _labels(path)
     if format == "table":
         table = read_columns(path)
         return "\n".join([f"{path}: {len(table)} rows", *_spans(table), *_command(path)])
+    if format != "rosbag":
+        return "\n".join([f"{path}: format {format}", *_command(path)])
     text = []
     for topic, (kind, count) in topics_of(path).items():
         text.append(f"{topic} ({kind}): {count} messages")
@@ -43,17 +41,6 @@ def show_recording(path: Path) -> str:
         text[-1] += f"; {_pace(rate, (np.diff(time_s) * (rate or 0) > 1.5).sum())}"
         text += [*_spans(table_of(fields)), *_command(path, topic=topic)]
     return "\n".join(text or [f"{path}: has no topics"])
-
-
-def _labels(path: Path) -> str:
-    """Describe lanes in pictures, in the format of TuSimple: an entry per line of the file."""
-    with reading(path, "TuSimple labels"):
-        entries = [json.loads(line) for line in read_text(path).splitlines() if line.strip()]
-        n_lanes = [len(entry["lanes"]) for entry in entries]
-        found = f"{path}: {len(entries)} pictures, at most {max(n_lanes)} lanes each"
-    return f"{found}\n  to run it (N: number of lanes of the road):\n" + (
-        f"  egolane run {shlex.quote(str(path))} --n-lanes N --camera CAMERA.yaml"
-    )
 
 
 def _spans(table: pd.DataFrame) -> Iterator[str]:
@@ -81,7 +68,7 @@ def _command(path: Path, **options: Any) -> list[str]:
         log = read_lines(path, **options)
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
-        return [f"  to run it, name the columns with --columns: {why}"]
+        return [f"  to run it: {why}"]
     given = "".join(
         f" --set recording.{name}={shlex.quote(value)}" for name, value in options.items()
     )

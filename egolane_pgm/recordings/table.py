@@ -25,9 +25,6 @@ from egolane_pgm.recordings.lines import lines_of_columns
 from egolane_pgm.tools.files import atomic, read_parquet, reading, write_parquet
 from egolane_pgm.types import InputError, LineLog
 
-#: Extensions of tables.
-TABLES = (".csv", ".tsv", ".parquet")
-
 
 def read_table(
     path: str | Path, *, frame_rate: float = FRAME_RATE, columns: Columns | None = None
@@ -75,10 +72,6 @@ def read_columns(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: no such file")
     if path.suffix.lower() == ".parquet":
         return plain(read_parquet(path), str(path))
-    if path.suffix.lower() not in TABLES:
-        raise InputError(
-            f"{path}: unknown extension '{path.suffix}' of a table ({', '.join(TABLES)})"
-        )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         separator = max(",;\t|", key=file.readline().count)
     decimal = "," if separator == ";" else "."

@@ -72,12 +72,10 @@ def fields_of(path: Path, topic: str | None = None) -> Fields:
 
 
 def _check_count(path: str | Path, topic: str, n_read: int, n_counted: int, cure: str) -> None:
-    """Warn of messages that the file counts but its index lacks; InputError if it lacks all."""
-    missing = f"only {n_read} of {n_counted} messages on {topic} can be read{cure}"
-    if not n_read:
-        raise InputError(missing)
+    """Warn of messages that the file counts but its index lacks."""
     if n_read < n_counted:
-        warnings.warn(f"{path}: {missing}", UserWarning, stacklevel=4)
+        missing = f"{path}: only {n_read} of {n_counted} messages on {topic} can be read{cure}"
+        warnings.warn(missing, UserWarning, stacklevel=4)
 
 
 @contextmanager

@@ -43,4 +43,4 @@ def test_foreign_lines_are_described_with_the_missing_column(
     shown = done("show", tmp_path / name).stdout
     assert all(each in shown for each in message)
     assert "egolane run" not in shown
-    assert "  to run it, name the columns with --columns: no column " in shown
+    assert "  to run it: no column " in shown
