@@ -124,7 +124,7 @@ def checked(
         is_empty = cells.isna().to_numpy(dtype=bool)
         if is_full and is_empty.any():
             raise InputError(f"{source}: row {int(is_empty.argmax()) + 1}: {theirs} is empty")
-        table = table.drop(columns=theirs).assign(**{ours: cells.astype(_TYPES[kind][not is_full])})
+        table = table.assign(**{ours: cells.astype(_TYPES[kind][not is_full])})
     return table
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -132,9 +133,10 @@ TIMED = LineLog.from_rows(
         ("time_s;lane;crossing\n0.54;1;1\n", {5: 1}),
         # The nearest of several.
         ("time_s,lane\n0.56,1\n0.59,2\n0.64,3\n", {6: 2}),
+        ("frame_id,lane,true_lane\n6,2,9\n7,,9\n8,1,9\n", {6: 2, 8: 1}),
     ],
 )
-def test_rows_by_time_belong_to_the_nearest_frame(
+def test_rows_of_a_table_belong_to_a_frame_or_the_nearest_one(
     tmp_path: Path, rows: str, frames: dict[int, int]
 ) -> None:
     path = tmp_path / "truth.csv"
@@ -152,10 +154,16 @@ def test_rows_by_time_belong_to_the_nearest_frame(
             "no row has the time of a frame; the frames are from 0.5 to",
         ),
         ("time_s,lane\n0.6,1\n0.5,1\n", "row 2: time_s must increase, 0.6 is followed by 0.5"),
-        ("time_s,lan\n0.5,1\n", "no column lane"),
+        ("time_s,lan\n0.5,1\n", "no column lane (did you mean 'lan'?); the table has time_s, lan"),
+        ("time_s,lane\n", "has no rows"),
+        ("time_s,lane\n,1\n", "row 1: time_s is empty"),
+        ("time_s,lane\n1790000000000,1\n", "time_s is 1.79e+12, which is not a time in s; it is"),
+        ("frame_id,lane\n5,\n", "has no annotated row"),
+        ("frame_id,lane\n,1\n", "row 1: frame_id is empty"),
+        ("frame_id,lane\n5,true\n", "row 1: lane is True, not a whole number"),
     ],
 )
-def test_rows_by_time_that_fit_no_frame_are_refused(
+def test_rows_of_a_table_that_fit_no_frame_are_refused(
     tmp_path: Path, rows: str, message: str
 ) -> None:
     path = tmp_path / "truth.csv"
@@ -163,3 +171,15 @@ def test_rows_by_time_that_fit_no_frame_are_refused(
     with pytest.raises(InputError) as info:
         read_ground_truth(path, log=TIMED)
     assert str(info.value).startswith(f"{path}: {message}")
+
+
+def test_a_log_whose_times_go_back_has_no_truth_by_time() -> None:
+    back = replace(TIMED, time_s=TIMED.time_s[::-1])
+    with pytest.raises(InputError, match=r"row 2: time_s must increase, 0.8 is followed by 0.7"):
+        truth_of(pd.DataFrame({"time_s": [0.5], "lane": [1]}), back)
+
+
+def test_extra_rows_are_added_to_a_table(tmp_path: Path) -> None:
+    path = write(tmp_path / "truth.csv", "frame_id,lane\n5,1\n7,2\n")
+    truth = read_ground_truth(path, extra_rows=[(6, 2, 1)])
+    assert truth["true_lane"].to_dict() == {5: 1, 6: 2, 7: 2}

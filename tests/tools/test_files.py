@@ -12,6 +12,7 @@ import pytest
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
+    read_parquet,
     read_text,
     read_yaml,
     to_jsonable,
@@ -100,6 +101,9 @@ def test_a_file_that_is_not_yaml_is_refused_in_one_line(
             "is not YAML: line 2: found character '\\t' that cannot start any token",
         ),
         ("a: *b", "is not YAML: line 1: found undefined alias 'b'"),
+        ('a: 1\nb: "a\\0b"', "is not YAML: line 2: a text contains a NUL character"),
+        ("a: " + "[" * 3000, "is not YAML: is nested too deeply"),
+        ("a: !!int ''", "is not YAML: string index out of range"),
     ],
 )
 def test_an_error_in_a_yaml_is_named_with_its_line(
@@ -110,6 +114,14 @@ def test_an_error_in_a_yaml_is_named_with_its_line(
     with pytest.raises(InputError) as caught:
         read_yaml(path, "n_lanes: 4")
     assert str(caught.value) == f"{path}: {message}"
+
+
+@pytest.mark.parametrize("name", ["absent", "x" * 300, "a\0b"])
+def test_a_path_that_cannot_be_opened_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"cannot be read: (No such file|File name|embedded null)"):
+        read_text(tmp_path / name)
+    with pytest.raises(InputError, match="cannot be read as Parquet"):
+        read_parquet(tmp_path / name)
 
 
 def test_stored_values_are_plain() -> None:
