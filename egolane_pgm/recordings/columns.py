@@ -109,6 +109,7 @@ def checked(
     Raises InputError as `plain`, for a column that is missing, and as `to_numbers`.
     """
     table = plain(given, source)
+    found: dict[str, pd.Series] = {}
     for ours, (kind, is_needed, is_full, others) in declared.items():
         theirs = names.get(ours) or next(filter(table.__contains__, (ours, *others)), ours)
         if theirs not in table:
@@ -124,8 +125,8 @@ def checked(
         is_empty = cells.isna().to_numpy(dtype=bool)
         if is_full and is_empty.any():
             raise InputError(f"{source}: row {int(is_empty.argmax()) + 1}: {theirs} is empty")
-        table = table.assign(**{ours: cells.astype(_TYPES[kind][not is_full])})
-    return table
+        found[ours] = cells.astype(_TYPES[kind][not is_full])
+    return table.assign(**found)
 
 
 def plain(given: Any, source: str) -> pd.DataFrame:
