@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numba import config, njit
 
+from egolane_pgm.types import FloatArray
+
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorate a function that numba compiles at its first call.
@@ -28,3 +30,15 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             return njit(**options)(function)
 
     return decorate
+
+
+@kernel(inline="always")
+def sort_first(values: FloatArray, n: int) -> None:
+    """Sort the first n values, which are few; numba takes two seconds to compile `np.sort`."""
+    for i in range(1, n):
+        value = values[i]
+        at = i
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
