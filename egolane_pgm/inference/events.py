@@ -219,6 +219,7 @@ def _search(
     n_events = 0
     for t in range(len(lane)):
         now = time_s[t]
+        n_before = n_events
         k = 0
         for other in range(1, n_lanes):
             if lane[t, other] > lane[t, k]:
@@ -242,9 +243,6 @@ def _search(
                 real[0, n_events] = began_s
                 real[1, n_events] = p
                 n_events += 1
-                # The lane that was left leads from now on, if at all.
-                for other in range(n_lanes):
-                    ahead[other] = False
                 before = here
                 calm = now + FLICKER_S
                 beyond -= side if is_near else round(beyond)
@@ -266,8 +264,10 @@ def _search(
                 real[0, n_events] = now
                 real[1, n_events] = p
                 n_events += 1
-                for other in range(n_lanes):
-                    ahead[other] = False
+        if n_events > n_before:
+            # A lane that was left leads from now on, if at all.
+            for other in range(n_lanes):
+                ahead[other] = False
         if here >= 0:
             for other in range(n_lanes):
                 leads = lane[t, other] > lane[t, here]
@@ -279,7 +279,7 @@ def _search(
     return state, n_events
 
 
-@kernel(inline="always")
+@kernel(no_cpython_wrapper=True)
 def _write_event(
     whole: IntArray, e: int, row: int, began_id: int, from_lane: int, to_lane: int, side: int
 ) -> None:

@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from functools import cache
+from multiprocessing import parent_process
 from typing import Any
 
 import numpy as np
 from numba import config, njit
+from numba.core.event import Event, Listener, register
 
-from egolane_pgm.types import FloatArray
+
+class _Compilations(Listener):
+    """Announce the first kernel that is compiled instead of loaded from the cache."""
+
+    def on_start(self, event: Event) -> None:
+        if event.data["dispatcher"].py_func.__module__.startswith("egolane_pgm."):
+            _announce()
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+@cache
+def _announce() -> None:
+    """Print a line on standard error, once per process.
+
+    Workers do not print it, nor do programs that redirect `sys.stderr`, such as notebooks.
+    """
+    if parent_process() is None and sys.stderr is sys.__stderr__:
+        print("compiling the kernels once, which takes some seconds", file=sys.stderr)
+
+
+register("numba:compile", _Compilations())
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -30,15 +56,3 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             return njit(**options)(function)
 
     return decorate
-
-
-@kernel(inline="always")
-def sort_first(values: FloatArray, n: int) -> None:
-    """Sort the first n values, which are few; numba takes two seconds to compile `np.sort`."""
-    for i in range(1, n):
-        value = values[i]
-        at = i
-        while at > 0 and values[at - 1] > value:
-            values[at] = values[at - 1]
-            at -= 1
-        values[at] = value

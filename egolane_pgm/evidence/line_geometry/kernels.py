@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from egolane_pgm.tools.jit import kernel, sort_first
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: Two lines nearer than this, in lane widths, are one border between lanes: a double line, the
@@ -128,10 +128,15 @@ def follow_lines(
                     if abs(offset_m[t, other] - before_m[match]) < nearest:
                         is_mutual = False
                 if is_mutual:
-                    moves[n_moves] = offset_m[t, i] - before_m[match]
+                    move = offset_m[t, i] - before_m[match]
+                    # In rising order; numba takes seconds to compile `np.median`.
+                    at = n_moves
+                    while at > 0 and moves[at - 1] > move:
+                        moves[at] = moves[at - 1]
+                        at -= 1
+                    moves[at] = move
                     n_moves += 1
             if n_moves:
-                sort_first(moves, n_moves)
                 middle = moves[n_moves // 2]
                 if n_moves % 2 == 0:
                     middle = (moves[n_moves // 2 - 1] + middle) / 2

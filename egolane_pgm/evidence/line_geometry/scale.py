@@ -28,7 +28,7 @@ import numpy as np
 
 from egolane_pgm.evidence.line_geometry.model import LANE_M
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.tools.jit import kernel, sort_first
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: The LRI of a well tracked line, on the paper's scale; of a strong line at least; and of a line
@@ -181,21 +181,26 @@ def line_classes(
     return kind, is_strong
 
 
-@kernel()
 def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
     """Return the lane width before each of T frames, (T, N_QUANTILES): equally probable values in
     rising order, in the unit of the offsets. The belief becomes that after the last frame.
 
     offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
+    # NumPy sorts at once; numba takes seconds to compile a sort.
+    return _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+
+
+@kernel()
+def _follow(belief: WidthBelief, lines_m: FloatArray) -> FloatArray:
+    """As `follow`; lines_m: (T, L) strong lines in rising order, then infinity; overwritten."""
     steady, wandering, pairs, counts, prior = belief
-    n_frames = len(offset_m)
+    n_frames = len(lines_m)
     width_m = np.empty((n_frames, N_QUANTILES))
-    lines = np.empty(offset_m.shape[1])
     # The beliefs that predict a frame, and the support of its gaps for each width.
     predicted = np.empty(len(prior))
     kept = np.empty(len(prior))
-    around = np.empty(len(prior))
+    around = np.empty(len(prior) + 2 * _HALF)
     support = np.empty(len(prior))
     for t in range(n_frames):
         for j in range(len(prior)):
@@ -211,8 +216,8 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
             while k < N_QUANTILES and below * N_QUANTILES >= k + 0.5:
                 width_m[t, k] = math.exp(_LOG_NARROWEST + _STEP * j)
                 k += 1
-        n = _distinct_lines(t, offset_m, is_strong, lines)
-        if n > 0 and _compare_gaps(lines, n, pairs, counts, support):
+        n = _without_doubles(lines_m[t])
+        if n > 0 and _compare_gaps(lines_m[t], n, pairs, counts, support):
             _weigh_widths(steady, wandering, counts, predicted, support)
     return width_m
 
@@ -248,22 +253,22 @@ def _predict_wandering(
 
     - steady: predicted belief in the steady width
     - kept: factor of each width
-    - around: overwritten
+    - around: overwritten; _HALF longer on either side
     """
     n_widths = len(steady)
-    for j in range(n_widths):
+    for j in range(len(around)):
         around[j] = 0.0
     for j in range(n_widths):
         if steady[j] > 1e-6:
-            for d in range(max(-_HALF, -j), min(_HALF, n_widths - 1 - j) + 1):
-                around[j + d] += steady[j] * _SPREAD[d + _HALF]
+            for d in range(2 * _HALF + 1):
+                around[j + d] += steady[j] * _SPREAD[d]
     left = wandering[0]
     total = 0.0
     for j in range(n_widths):
         here = wandering[j]
         right = wandering[j + 1] if j + 1 < n_widths else here
         new = here + WANDERING_MOVES * (left - 2 * here + right)
-        wandering[j] = (new + RETURNS * (around[j] - new)) * kept[j]
+        wandering[j] = (new + RETURNS * (around[j + _HALF] - new)) * kept[j]
         total += wandering[j]
         left = here
     for j in range(n_widths):
@@ -271,22 +276,19 @@ def _predict_wandering(
 
 
 @kernel(no_cpython_wrapper=True)
-def _distinct_lines(t: int, offset_m: FloatArray, is_strong: BoolArray, lines: FloatArray) -> int:
-    """Fill `lines` with the strong lines of frame t, sorted and without repetitions.
+def _without_doubles(lines: FloatArray) -> int:
+    """Move the lines that repeat no other to the front; return their number, 0 for a single line.
 
-    Returns their number; 0 if there are fewer than two strong lines.
+    - lines: (L,) in rising order, then infinity
     """
     n = 0
-    for i in range(len(lines)):
-        if is_strong[t, i]:
-            lines[n] = offset_m[t, i]
-            n += 1
+    largest = 0.0
+    while n < len(lines) and lines[n] < math.inf:
+        if n > 0:
+            largest = max(largest, lines[n] - lines[n - 1])
+        n += 1
     if n < 2:
         return 0
-    sort_first(lines, n)
-    largest = 0.0
-    for i in range(n - 1):
-        largest = max(largest, lines[i + 1] - lines[i])
     single = 1
     for i in range(1, n):
         if lines[i] - lines[single - 1] > DOUBLE * largest:
