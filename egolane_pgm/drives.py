@@ -68,7 +68,7 @@ class Drive:
     log: LineLog
     true_lane: IntArray
     is_crossing: BoolArray
-    marks: Marks
+    marks: Marks = field(default_factory=Marks)
     tags: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -268,7 +268,7 @@ def make_drive(
     model: Model,
     log: LineLog,
     truth: pd.DataFrame | None,
-    marks: Marks,
+    marks: Marks = Marks(),  # noqa: B008
     *,
     most_lanes: int = 0,
 ) -> Drive:

@@ -240,7 +240,8 @@ def as_result(given: Any, what: str) -> Result:
     """A Result, or the in-sample result of a Study; `what` is the argument, for the InputError."""
     found = getattr(given, "in_sample", given)
     if not isinstance(found, Result):
-        raise InputError(f"{what}: {type(given).__name__} is neither a result nor a study")
+        kind = type(given).__name__
+        raise InputError(f"{what}: {kind} has no recording; give a result or a study of the model")
     return found
 
 

@@ -321,7 +321,7 @@ def run_input(
 
     with noting() as notes:
         drives = given.drives()
-    return run_held_out(experiment, drives, n_blocks, notes=notes)
+    return run_held_out(drives, n_blocks, experiment=experiment, notes=notes)
 
 
 # --- tables of runs ------------------------------------------------------------------------------

@@ -17,22 +17,26 @@ likelihood of the states with these values.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, declare, ve_name
 from egolane_pgm.graphs.from_pgmpy import read_network
-from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
+from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 #: The nodes whose values are lanes, or numbers of lanes.
 LANES = ("Lane", "DetectorOutput", "Lanes")
@@ -126,6 +130,44 @@ class Compiled:
         evidence see `unrolled`.
         """
         return declare(self.tables.values(), self.observed, self.values)
+
+
+def compiled_of(given: Any, evidence: Evidence | None = None) -> Compiled:
+    """Return the arrays of anything with a model (a result, a study, ...), or of a pgmpy network.
+
+    - evidence: a network observes its nodes; without it those with a virtual-evidence child, or
+      else all without children.
+
+    Raises InputError for anything else.
+    """
+    found = getattr(given, "model", given)
+    found = getattr(found, "compiled", found)
+    if isinstance(found, Compiled):
+        return found
+    if not hasattr(found, "get_cpds"):
+        kind = type(given).__name__
+        raise InputError(f"{kind} is not a model: give a result, a study, a model or a network")
+    if evidence is not None:
+        return compile(found, observed=[*evidence.likelihoods], inputs=[*evidence.inputs])
+    tables = read_network(found).tables
+    names = dict.fromkeys(name for name, _ in tables)
+    parents = {name for table in tables.values() for name, _ in table.parents}
+    seen = [name for name in names if ve_name(name) in names]
+    leaves = [name for name in names if name not in {*parents, "Lane"}]
+    return compile(found, observed=seen or leaves)
+
+
+def takes_any_model(
+    function: Callable[Concatenate[Compiled, P], R],
+) -> Callable[Concatenate[Any, P], R]:
+    """Let a function of a compiled network take anything that `compiled_of` takes."""
+
+    @functools.wraps(function)
+    def called(model: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        given = (each for each in (*args, *kwargs.values()) if isinstance(each, Evidence))
+        return function(compiled_of(model, next(given, None)), *args, **kwargs)
+
+    return called
 
 
 def compile(

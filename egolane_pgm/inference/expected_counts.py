@@ -14,7 +14,7 @@ from functools import reduce
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.compile import Compiled, Group, takes_any_model
 from egolane_pgm.inference.filtering import (
     evidence_blocks,
     first_frames,
@@ -73,6 +73,7 @@ def free_parameters(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode
     return total
 
 
+@takes_any_model
 def expected_counts(
     compiled: Compiled,
     evidence: Evidence,

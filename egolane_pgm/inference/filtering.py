@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.kernels.banded import MIN_STATES, Band, find_band, forward_banded
 from egolane_pgm.inference.kernels.filter import forward_kernel, multiply_likelihood
 from egolane_pgm.types import (
@@ -46,6 +46,7 @@ MIN_FIXED_FRAMES = 1000
 PIECE = 2**16
 
 
+@takes_any_model
 def filter_beliefs(
     compiled: Compiled,
     evidence: Evidence,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.filtering import first_frames, forward, joint_input, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, InputError, IntArray
@@ -61,6 +61,7 @@ def pass_forward(
     return Passed(filtered, likelihood, index, begins, log_evidence, is_impossible)
 
 
+@takes_any_model
 def smooth_beliefs(
     compiled: Compiled,
     evidence: Evidence,
@@ -86,6 +87,7 @@ def smooth_beliefs(
     return _beliefs(compiled, passed, _smoothed(compiled, passed), frame_id)
 
 
+@takes_any_model
 def fixed_lag_beliefs(
     compiled: Compiled,
     evidence: Evidence,

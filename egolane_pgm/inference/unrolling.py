@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, flat_network, uniform, ve_name
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.filtering import joint_input, step
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
@@ -28,6 +28,7 @@ class Unrolled(NamedTuple):
     given: dict[str, int | str]
 
 
+@takes_any_model
 def unrolled(
     compiled: Compiled,
     evidence: Evidence,

@@ -367,14 +367,17 @@ def training_of_fold(drives: Sequence[Drive], fold: Fold) -> tuple[TrainedOn, ..
 
 
 def run_held_out(
-    experiment: Experiment,
     drives: Sequence[Drive],
     n_blocks: int = N_BLOCKS,
     *,
+    experiment: Experiment | None = None,
     notes: Sequence[str] = (),
 ) -> Result:
-    """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
-    begin = time.perf_counter()
+    """Infer each block of some drives with a fit (`fit.method`) to the other blocks.
+
+    - experiment: by default that of the first drive.
+    """
+    begin, experiment = time.perf_counter(), experiment or drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
     folds, fit = block_folds(drives, n_blocks), fit_by_name(method)

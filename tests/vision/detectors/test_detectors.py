@@ -9,25 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Detector
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.runner import Detector, detect, find_detector, start
+from egolane_pgm.vision.detectors.runner import ReadyDetector, detect, find_detector, start
 from makers.camera import carnd, clips, lane_change
 from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 from tests.kits.tiny_network import top_hat_file
 
 OWN = str(Path(__file__).parents[3] / "examples" / "my_detector.py")
-NAMES = [*plugin_names("detectors"), OWN]
+NAMES = [*plugin_names(Detector), OWN]
 N_FRAMES = 14
 
 #: Detections that make a line valid, and the share of them below which it is not any more.
 MOST, UNTIL = 10, 0.5
 
 
-def load(name: str) -> Detector:
+def load(name: str) -> ReadyDetector:
     given = {}
     if name == "network":
         given["network"] = str(top_hat_file(CAMERA.width, CAMERA.height))
