@@ -125,7 +125,7 @@ def open_results(results: Any) -> list[Result]:
         folder = Path(each)
         below = sorted(file.parent for file in folder.glob("**/run.json"))
         if (folder / SUMMARY).exists():
-            rows = list(read_parquet(folder / SUMMARY).index)
+            rows = list(read_parquet(folder / SUMMARY)["name"])
             below.sort(key=lambda p: rows.index(p.name) if p.name in rows else len(rows))
         found += map(load_result, below or [folder])
     return found

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -37,7 +38,7 @@ from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools import options
-from egolane_pgm.tools.files import make_directory
+from egolane_pgm.tools.files import make_directory, write_parquet
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.options import Option, StrPath, place_of
 from egolane_pgm.tools.progress import bar
@@ -420,9 +421,13 @@ def run_table(
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
     done = list(bar(rows, total=len(inputs), unit="run"))
-    summary = pd.DataFrame(done).set_index("name")
-    summary.to_parquet(folder / SUMMARY)
-    return summary
+    summary = pd.DataFrame(done)
+    try:
+        write_parquet(folder / SUMMARY, summary)
+    except InputError as error:
+        # The reasons of rows that failed are still returned.
+        warnings.warn(str(error), UserWarning, stacklevel=2)
+    return summary.set_index("name")
 
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:

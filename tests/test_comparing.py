@@ -14,7 +14,8 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.comparing import compare
-from egolane_pgm.drives import data_files, digest, drive_key
+from egolane_pgm.drives import drive_key
+from egolane_pgm.identity import data_files, digest
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.result import Result, load_result

@@ -7,10 +7,12 @@ or absent, and two programs may write the same file. A killed process leaves the
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import json
+import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -133,6 +135,45 @@ def make_directory(directory: Path) -> None:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def replaced_directory(path: Path, is_ours: Callable[[str], bool]) -> Iterator[Path]:
+    """Yield a new folder, which takes the place of `path` if the block does not raise.
+
+    The two are exchanged in one step, so that others see the older folder or the new one, whole.
+
+    - is_ours: whether a file of the older folder, by its name, goes with it; others stay.
+
+    Raises InputError, naming `path`, for an OSError.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(path.parent) as folder:
+            new = folder / path.name
+            new.mkdir()
+            yield new
+            with contextlib.suppress(FileExistsError):
+                path.mkdir()
+            _exchange(new, path)
+            for other in new.iterdir():
+                if not is_ours(other.name) and not (path / other.name).exists():
+                    other.rename(path / other.name)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _exchange(first: Path, second: Path) -> None:
+    """Exchange two folders in one step (Linux), or else in three."""
+    exchange = 2  # RENAME_EXCHANGE of <linux/fs.h>.
+    here = -100  # AT_FDCWD of <fcntl.h>: relative to the current folder.
+    rename = getattr(ctypes.CDLL(None), "renameat2", None)
+    if rename and not rename(here, os.fsencode(first), here, os.fsencode(second), exchange):
+        return
+    third = first.with_suffix(".older")
+    second.rename(third)
+    first.rename(second)
+    third.rename(first)
 
 
 def check_place(path: Path) -> None:
