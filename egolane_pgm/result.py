@@ -476,6 +476,7 @@ def make_result(
         "n_lanes": widest.n_lanes,
         "values": widest.values,
         "observed": [str(key) for key in model.compiled.observed],
+        "of_rule": [spec.name for spec in model.rule.parameters],
         "free_parameters": model.free_parameters,
         "frames": len(frames),
         "tuned_on": most_in_sample(drive.tuned_on() for drive in drives),
