@@ -177,12 +177,12 @@ def next_events(
     real = np.empty((2, 2 * len(lane)))
     lane = np.ascontiguousarray(lane)
     # The search changes the arrays of the state; before the first frame they are empty.
-    lead = (so_far.ahead, so_far.since_id, so_far.since_s)
-    n_lanes = lane.shape[1]
-    ahead, since_id, since_s = (
-        values.copy() if len(values) else np.zeros(n_lanes, values.dtype) for values in lead
+    more = np.zeros(lane.shape[1] - len(so_far.ahead), dtype=np.int64)
+    begin = so_far._replace(
+        ahead=np.concatenate([so_far.ahead, more.astype(bool)]),
+        since_id=np.concatenate([so_far.since_id, more]),
+        since_s=np.concatenate([so_far.since_s, more]),
     )
-    begin = so_far._replace(ahead=ahead, since_id=since_id, since_s=since_s)
     state, n_events = _search(begin, lane, frame_id, time_s, offset, whole, real)
     rows, began_id, from_lane, to_lane, direction = whole[:, :n_events].copy()
     began_s, probability = real[:, :n_events].copy()

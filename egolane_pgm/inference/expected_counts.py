@@ -98,14 +98,14 @@ def expected_counts(
     """
     index = joint_input(compiled, evidence)
     n_frames, n_states = len(evidence), compiled.n_states
-    likelihood = state_likelihood(compiled, evidence)
+    likelihood, log_scale = state_likelihood(compiled, evidence)
     for node, value in (known or {}).items():
         if node not in compiled.hidden:
             meant = suggestion(node, compiled.hidden)
             raise InputError(f"known values of {node}, which is no hidden node{meant}")
         likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
     begins = first_frames(n_frames, is_first)
-    filtered, log_evidence, is_impossible = forward(compiled, likelihood, index, begins)
+    filtered, log_evidence, is_impossible = forward(compiled, likelihood, log_scale, index, begins)
     likelihood[is_impossible] = 1.0
     smoothed, moves = np.empty((n_frames, n_states)), np.zeros((n_states, n_states))
     smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)

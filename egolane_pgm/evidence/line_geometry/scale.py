@@ -188,7 +188,8 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
     offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
     # NumPy sorts at once; numba takes seconds to compile a sort.
-    return _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+    width_m: FloatArray = _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+    return width_m
 
 
 @kernel()
