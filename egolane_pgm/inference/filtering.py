@@ -172,7 +172,8 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
         if values.shape != needs:
             raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {needs}")
     for name in compiled.inputs:
-        index, size = evidence.inputs[name], compiled.cardinality[name]
+        index = evidence.inputs[name]
+        size = compiled.cardinality[name]
         if len(index) and not 0 <= index.min() <= index.max() < size:
             raise InputError(f"input {name}: outside 0..{size - 1}")
         joint = joint * size + index
@@ -245,17 +246,20 @@ def forward(
     if joint is None:
         joint = np.zeros(n_states)
     beliefs = np.empty((n_frames, n_states)) if out is None else out
-    total, is_impossible = np.empty(n_frames), np.empty(n_frames, dtype=bool)
+    total = np.empty(n_frames)
+    is_impossible = np.empty(n_frames, dtype=bool)
     run: Any
     transition: Band | FloatArray
     band = find_band(compiled) if n_states >= MIN_STATES else None
     # The banded recursion takes the product of at most two marginals.
     if band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
-        run, transition = forward_banded, band
+        run = forward_banded
+        transition = band
     else:
         is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
         columns = tuple(map(tuple, compiled.column.tolist())) if is_fixed else ()
-        run, transition = forward_kernel(columns), compiled.transition
+        run = forward_kernel(columns)
+        transition = compiled.transition
     run(
         joint, begins, is_factored, compiled.prior, transition, index, likelihood, compiled.column,
         beliefs, total, is_impossible,

@@ -60,7 +60,8 @@ def sample(
     >>> len(ego.Evidence.hard(drive[["DetectorOutput", "WOR"]], model.compiled))
     1000
     """
-    compiled, rng = compiled_of(model), np.random.default_rng(seed)
+    compiled = compiled_of(model)
+    rng = np.random.default_rng(seed)
     drawn = sampled_states(compiled, n_frames, 1, rng, inputs)[0]
     columns = {name: value[drawn] for name, value in compiled.node_value.items()}
     for group in compiled.groups:
@@ -89,7 +90,8 @@ def sampled_states(
     given = {name: np.asarray(index) for name, index in (inputs or {}).items()}
     index = joint_input(compiled, Evidence(ones, given))
     paths = np.empty((n, n_frames), dtype=np.int64)
-    prior, transition = compiled.prior.cumsum(axis=-1), compiled.transition.cumsum(axis=-1)
+    prior = compiled.prior.cumsum(axis=-1)
+    transition = compiled.transition.cumsum(axis=-1)
     draw_forward(prior, transition, index, rng.random((n, n_frames)), paths)
     return paths
 

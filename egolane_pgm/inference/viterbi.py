@@ -73,7 +73,8 @@ def viterbi(
     total = float(passed.log_scale.sum())
     with np.errstate(divide="ignore"):
         log_likelihood = np.log(passed.likelihood)
-        log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
+        log_prior = np.log(compiled.prior)
+        log_transition = np.log(compiled.transition)
     starts = np.flatnonzero(passed.begins).tolist()
     for first, stop in pairwise([*starts, len(states)]):
         here = slice(first, stop)
