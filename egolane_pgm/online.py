@@ -90,14 +90,19 @@ def _online(
     for columns in infer(model, noted()):
         posterior = np.stack([columns[name] for name in lanes], axis=1)
         offset = columns.get("lateral_offset")
-        for t in range(len(posterior)):
-            here = slice(t, t + 1)
+        begin = 0
+        for t, frame_id in enumerate(columns["frame_id"].tolist()):
+            # Filled-in frames have no answer. A long gap has many, so they are searched at once.
+            is_due = frame_id == recorded[0]
+            if not is_due and t < len(posterior) - 1:
+                continue
+            here = slice(begin, t + 1)
+            begin = t + 1
             place = None if offset is None else offset[here]
             when = columns["frame_id"][here], columns["time_s"][here]
             state, _, found = next_events(state, posterior[here], *when, place)
             events += _event_rows(found)
-            # Filled-in frames have no answer.
-            if columns["frame_id"][t] == recorded[0]:
+            if is_due:
                 recorded.popleft()
                 yield _answer(model, columns, t, posterior[t], events, nodes)
                 events = []

@@ -46,7 +46,7 @@ CLUTTER_PER_M = 0.05 * np.array([0.05, 0.5, 0.2, 0.25])
 #: Generic standard deviation of a line, metres.
 LINE_SIGMA_M = 0.25
 
-#: Generic standard deviation of an independent error, metres per metre between line and car. It is 0
+#: Generic standard deviation of an independent error, metres per metre between line and car. 0
 #: with `width_wanders`, which also makes far lines less exact.
 LINE_SIGMA_PER_M = 0.03
 

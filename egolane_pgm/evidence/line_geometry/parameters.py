@@ -6,8 +6,8 @@ from egolane_pgm.evidence.line_geometry.model import N_CLASSES
 from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS
 from egolane_pgm.parameters import Parameter
 
-#: The narrowest and the widest lane that can be given, in the detector's metres: these may be others
-#: than ours, but not by this much.
+#: The narrowest and the widest lane that can be given. A detector may have other metres than we do,
+#: but not by this much.
 _NARROWEST_M = 0.01
 _WIDEST_M = 1000.0
 
