@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: The nodes whose values are lanes, or numbers of lanes.
-LANES = ("Lane", "DetectorOutput", "Lanes")
+#: The nodes whose values are lanes.
+LANES = ("Lane", "DetectorOutput")
 
 #: More joint states than this are refused.
 MAX_STATES = 4096
@@ -220,7 +220,8 @@ def compile(
         others = {*inputs, *map(ve_name, observed), *chain.from_iterable(names_of.values())}
         nodes = dict.fromkeys(name for name, _ in declared.tables)
         hidden = [name for name in nodes if name == "Lane" or name not in others]
-    ve, tables = {ve_name(key): names for key, names in names_of.items()}, []
+    ve = {ve_name(key): names for key, names in names_of.items()}
+    tables = []
     for (name, s), table in declared.tables.items():
         if name not in ve:
             tables.append(table)
@@ -274,7 +275,8 @@ def compile_tables(
         raise InputError(
             f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
         )
-    n_states, n_inputs = math.prod(size[n] for n in state), math.prod(size[n] for n in inputs)
+    n_states = math.prod(size[n] for n in state)
+    n_inputs = math.prod(size[n] for n in inputs)
     if n_states > MAX_STATES:
         product = " x ".join(f"{n} {size[n]}" for n in state)
         raise InputError(
@@ -287,7 +289,9 @@ def compile_tables(
         table = aligned[name, 1]
         value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
         node_value[name] = np.broadcast_to(value, n_states)
-    parts, end, indicator = {}, 0, []
+    parts = {}
+    end = 0
+    indicator = []
     for name in sorted(hidden, key=lambda name: state.index(name) if name in state else len(state)):
         parts[name] = slice(end, end := end + size[name])
         indicator.append(node_value[name][:, None] == np.arange(size[name]))
@@ -368,7 +372,8 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
         if table.node not in now:
             continue  # a virtual-evidence node
-        old, now[table.node] = now[table.node], table
+        old = now[table.node]
+        now[table.node] = table
         n_values = old.values.shape[-1]
         if set(table.parents) != set(old.parents) or table.values.shape[-1] != n_values:
             raise InputError(f"{name}: the table has other parents or values than before")

@@ -177,12 +177,12 @@ def next_events(
     real = np.empty((2, 2 * len(lane)))
     lane = np.ascontiguousarray(lane)
     # The search changes the arrays of the state; before the first frame they are empty.
-    lead = (so_far.ahead, so_far.since_id, so_far.since_s)
-    n_lanes = lane.shape[1]
-    ahead, since_id, since_s = (
-        values.copy() if len(values) else np.zeros(n_lanes, values.dtype) for values in lead
+    more = np.zeros(lane.shape[1] - len(so_far.ahead), dtype=np.int64)
+    begin = so_far._replace(
+        ahead=np.concatenate([so_far.ahead, more.astype(bool)]),
+        since_id=np.concatenate([so_far.since_id, more]),
+        since_s=np.concatenate([so_far.since_s, more]),
     )
-    begin = so_far._replace(ahead=ahead, since_id=since_id, since_s=since_s)
     state, n_events = _search(begin, lane, frame_id, time_s, offset, whole, real)
     rows, began_id, from_lane, to_lane, direction = whole[:, :n_events].copy()
     began_s, probability = real[:, :n_events].copy()
@@ -309,10 +309,15 @@ def lane_segments(
         return []
     lanes = lane[held].argmax(axis=1) + 1
     changes = events[["time_s", "to_lane", "detected_time_s"]].values.tolist()
-    marks, here, calm, e = dict[float, int](), UNASSIGNED, -np.inf, 0
+    marks = dict[float, int]()
+    here = UNASSIGNED
+    calm = -np.inf
+    e = 0
     for at, k in [*zip(time_s[held].tolist(), lanes.tolist(), strict=True), (np.inf, 0)]:
         while e < len(changes) and changes[e][0] <= at:
-            began, here, now = changes[e][0], int(changes[e][1]), changes[e][2]
+            began = changes[e][0]
+            here = int(changes[e][1])
+            now = changes[e][2]
             marks[began] = here
             calm = now + FLICKER_S if here else -np.inf
             e += 1
@@ -341,7 +346,8 @@ def across_lanes(
     The lateral offset from the lane centre is in lane widths, positive to the right, -.5 to .5: the
     circular mean of RoadPosition over all lanes, NaN if it is not DEFINITE.
     """
-    lane, position = marginals["Lane"], marginals.get("RoadPosition")
+    lane = marginals["Lane"]
+    position = marginals.get("RoadPosition")
     n_frames, n_lanes = lane.shape
     if position is None or position.shape[1] % n_lanes:
         return None, by_lines

@@ -89,7 +89,8 @@ def sampled_states(
     given = {name: np.asarray(index) for name, index in (inputs or {}).items()}
     index = joint_input(compiled, Evidence(ones, given))
     paths = np.empty((n, n_frames), dtype=np.int64)
-    prior, transition = compiled.prior.cumsum(axis=-1), compiled.transition.cumsum(axis=-1)
+    prior = compiled.prior.cumsum(axis=-1)
+    transition = compiled.transition.cumsum(axis=-1)
     draw_forward(prior, transition, index, rng.random((n, n_frames)), paths)
     return paths
 

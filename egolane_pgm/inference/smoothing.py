@@ -24,7 +24,8 @@ class Passed(NamedTuple):
     """The results of the exact forward recursion over T frames, which the smoothers take.
 
     filtered (T, S): the joint belief after each frame.
-    likelihood (T, S): of each frame's evidence; one if it is ignored.
+    likelihood (T, S): of each frame's evidence, divided by a scale; one if it is ignored.
+    log_scale (T,): natural logarithm of this scale.
     input_index (T,): the joint value of the inputs.
     begins (T,): True in the first frame.
     log_evidence, is_impossible (T,): as in `Beliefs`.
@@ -32,6 +33,7 @@ class Passed(NamedTuple):
 
     filtered: FloatArray
     likelihood: FloatArray
+    log_scale: FloatArray
     input_index: IntArray
     begins: BoolArray
     log_evidence: FloatArray
@@ -53,12 +55,13 @@ def pass_forward(
     """
     index = joint_input(compiled, evidence)
     begins = first_frames(len(evidence), is_first, starts=before is None)
-    likelihood = state_likelihood(compiled, evidence)
+    likelihood, log_scale = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(
-        compiled, likelihood, index, begins, None if before is None else before.copy()
+        compiled, likelihood, log_scale, index, begins, None if before is None else before.copy()
     )
     likelihood[is_impossible] = 1.0
-    return Passed(filtered, likelihood, index, begins, log_evidence, is_impossible)
+    log_scale[is_impossible] = 0.0
+    return Passed(filtered, likelihood, log_scale, index, begins, log_evidence, is_impossible)
 
 
 @takes_any_model

@@ -63,10 +63,12 @@ def unrolled(
     """
     joint_input(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
-    start, stop = _position(ids, first), _position(ids, last) + 1
+    start = _position(ids, first)
+    stop = _position(ids, last) + 1
     if start >= stop:
         raise InputError(f"frames {first} to {last}: the first one comes after the last")
-    state, tables = None, []
+    state = None
+    tables = []
     if start > 0:
         state, _ = step(compiled, None, evidence.take(slice(0, start)), "exact")
         tables += _past(compiled, state, int(ids[start - 1]))

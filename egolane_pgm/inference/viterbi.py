@@ -71,10 +71,11 @@ def viterbi(
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     passed = pass_forward(compiled, evidence, is_first=is_first)
     states = np.zeros(len(evidence), dtype=np.int64)
-    total = 0.0
+    total = float(passed.log_scale.sum())
     with np.errstate(divide="ignore"):
         log_likelihood = np.log(passed.likelihood)
-        log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
+        log_prior = np.log(compiled.prior)
+        log_transition = np.log(compiled.transition)
     starts = np.flatnonzero(passed.begins).tolist()
     for first, stop in pairwise([*starts, len(states)]):
         here = slice(first, stop)

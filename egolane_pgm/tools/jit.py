@@ -34,7 +34,7 @@ def _announce() -> None:
         print("compiling the kernels once, which takes some seconds", file=sys.stderr)
 
 
-register("numba:compile", _Compilations())
+register("numba:compile", _Compilations())  # type: ignore[no-untyped-call]
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:

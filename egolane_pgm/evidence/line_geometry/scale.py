@@ -31,9 +31,14 @@ from egolane_pgm.parameters import Parameters
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
-#: The LRI of a well tracked line, on the paper's scale; of a strong line at least; and of a line
-#: that is not valid and yet counts, at least.
-FULL_LRI, STRONG_LRI, LEAST_LRI = 10.0, 6.0, 3.0
+#: The LRI of a well tracked line, on the paper's scale.
+FULL_LRI = 10.0
+
+#: The least LRI of a strong line, whose place is reliable.
+STRONG_LRI = 6.0
+
+#: The least LRI of a line that is not valid and yet counts.
+LEAST_LRI = 3.0
 
 #: An offset nearer to 0 than this is a placeholder of a detector that has not measured yet.
 PLACEHOLDER_M = 1e-6
@@ -50,24 +55,33 @@ GAP_SIGMA = 0.06
 DOUBLE = 0.1
 
 #: The number of gaps that count as one, because neighbouring frames show the same lines: two
-#: seconds of frames are little more evidence than a single one. Fewer for the width that wanders,
-#: which has to follow quickly.
-ALIKE, ALIKE_WANDERING = 20.0, 10.0
+#: seconds of frames are little more evidence than a single one.
+ALIKE = 20.0
 
-#: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between
-#: every other line is two lanes, to within this many lane widths (the second). This is checked only
-#: with enough gaps (the third) for about three independent ones, since a detector may report two
-#: lines only.
-LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
+#: The same for the width that wanders; fewer, because it has to follow quickly.
+ALIKE_WANDERING = 10.0
+
+#: The least share of two lanes among the gaps between every other line, if two neighbouring lanes
+#: are ever seen at once.
+LEAST_PAIRS = 0.03
+
+#: The largest distance of such a gap from two lanes, lane widths.
+PAIR_WITHIN = 0.15
+
+#: The least number of gaps between every other line for this check: about three independent ones,
+#: since a detector may report two lines only.
 ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
 
 #: Scale of the prior, a Cauchy distribution of the logarithm of the width around the expected one.
 #: A width a tenth away is half as probable; those far away keep a chance.
 EXPECTED_WITHIN = 0.1
 
-#: The grid: logarithmic steps from the narrowest to the widest width, in any unit.
+#: The grid of widths has logarithmic steps of this size.
 _STEP = 0.02
-_NARROWEST, _WIDEST = 0.1, 1e4
+
+#: The narrowest and the widest width of the grid, in any unit.
+_NARROWEST = 0.1
+_WIDEST = 1e4
 _LOG_NARROWEST = math.log(_NARROWEST)
 _N_WIDTHS = math.ceil(math.log(_WIDEST / _NARROWEST) / _STEP)
 GRID = _NARROWEST * np.exp(_STEP * np.arange(_N_WIDTHS))
@@ -79,19 +93,27 @@ N_QUANTILES = 7
 OFF_LATTICE = 0.6
 
 #: The share of the belief in a width that moves to either neighbour in a frame, if the scale is
-#: steady and if it wanders.
-STEADY_MOVES, WANDERING_MOVES = 0.0005, 0.025
+#: steady.
+STEADY_MOVES = 0.0005
+
+#: The same if the scale wanders.
+WANDERING_MOVES = 0.025
 
 #: Probability that the scale of a detector is another one from this frame on. It is so small that
 #: misleading gaps are taken for a new scale only if they last for a minute or longer.
 ANOTHER_SCALE = 1e-40
 
-#: A scale that wanders starts again with this probability in each frame, around the steady one with
-#: this standard deviation of its logarithm.
-RETURNS, WANDERS = 0.05, 0.1
+#: Probability in each frame that a scale that wanders starts again around the steady one.
+RETURNS = 0.05
 
-#: Probability that the scale of an unknown detector wanders, and how quickly that may change.
-MAY_WANDER, CHANGES = 0.05, 1e-4
+#: Standard deviation of the logarithm of a width around the steady one.
+WANDERS = 0.1
+
+#: Probability that the scale of an unknown detector wanders.
+MAY_WANDER = 0.05
+
+#: The share by which this probability returns to MAY_WANDER in each frame.
+CHANGES = 1e-4
 
 #: The factor of a width at which two neighbouring lanes are never seen at once, in each frame: such
 #: a width is impossible. It is so small because other widths may have sunk to ANOTHER_SCALE.
@@ -188,7 +210,8 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
     offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
     # NumPy sorts at once; numba takes seconds to compile a sort.
-    return _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+    width_m: FloatArray = _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+    return width_m
 
 
 @kernel()
@@ -231,7 +254,8 @@ def _predict_steady(
     - kept: factor of each width
     """
     n_widths = len(prior)
-    predicted[0], predicted[-1] = steady[0], steady[-1]
+    predicted[0] = steady[0]
+    predicted[-1] = steady[-1]
     for j in range(1, n_widths - 1):
         second = steady[j - 1] - 2 * steady[j] + steady[j + 1]
         predicted[j] = steady[j] + STEADY_MOVES * second
@@ -379,7 +403,9 @@ def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
     """
     given = {name: value for name, value in parameters.items() if isinstance(value, int | float)}
     max_lri = given.get("max_lri", FULL_LRI)
-    width, mean, last_s = new_belief(given.get("lane_width_m", LANE_M)), 0j, -math.inf
+    width = new_belief(given.get("lane_width_m", LANE_M))
+    mean = 0j
+    last_s = -math.inf
 
     def places_of(log: LineLog) -> FloatArray:
         nonlocal mean, last_s
@@ -393,7 +419,8 @@ def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
         place = np.full(len(log), np.nan)
         for t, time_s in enumerate(log.time_s.tolist()):
             kept = math.exp(-max(time_s - last_s, 0.0) / MEAN_S)
-            mean, last_s = kept * mean - (1 - kept) * sum(seen[t].tolist()), time_s
+            mean = kept * mean - (1 - kept) * sum(seen[t].tolist())
+            last_s = time_s
             if abs(mean) >= DEFINITE:
                 place[t] = cmath.phase(mean) / (2 * math.pi)
         return place

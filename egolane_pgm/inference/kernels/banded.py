@@ -45,7 +45,8 @@ class Band(NamedTuple):
 def find_band(compiled: Compiled) -> Band | None:
     """Return the banded form of a network's transition, or None; cached for online filters."""
     sizes = [compiled.cardinality[name] for name in compiled.state_nodes]
-    n_wide, n_others = sizes[-1], math.prod(sizes[:-1])
+    n_wide = sizes[-1]
+    n_others = math.prod(sizes[:-1])
     n_inputs = len(compiled.transition)
     own = np.empty((n_inputs, n_wide, n_wide))
     others = np.empty((n_inputs, n_others, n_others))
@@ -89,7 +90,8 @@ def forward_banded(
     """As the recursion of `forward_kernel`, but for a `Band` in place of the transition. With
     is_factored the others are one node."""
     others, half, floor, band = transition
-    n_others, n_wide = others.shape[1], band.shape[2]
+    n_others = others.shape[1]
+    n_wide = band.shape[2]
     widest = band.shape[1] // 2
     # Zeros on both sides, so that the band never leaves the array.
     before = np.zeros(n_wide + 2 * widest)
@@ -131,7 +133,8 @@ def forward_banded(
         mass = 0.0
         for q in range(n_others):
             given = likelihood[t, q * n_wide : (q + 1) * n_wide]
-            source, target = predicted[q], belief[q]
+            source = predicted[q]
+            target = belief[q]
             for r in range(n_wide):
                 target[r] = source[r] * given[r]
             for r in range(n_wide):
@@ -142,7 +145,8 @@ def forward_banded(
             mass = _copy(predicted, belief)
         scale = 1.0 / mass
         for q in range(n_others):
-            target, row = belief[q], beliefs[t, q * n_wide : (q + 1) * n_wide]
+            target = belief[q]
+            row = beliefs[t, q * n_wide : (q + 1) * n_wide]
             for r in range(n_wide):
                 target[r] *= scale
                 row[r] = target[r]

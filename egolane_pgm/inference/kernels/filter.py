@@ -15,7 +15,8 @@ from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: A frame's likelihood outside of these limits counts as zero: its reciprocal would lose digits.
-LEAST, MOST = 2.0**-1022, 2.0**1022
+LEAST = 2.0**-1022
+MOST = 2.0**1022
 
 
 @lru_cache(maxsize=64)
@@ -26,7 +27,8 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """
     known = np.array(columns, dtype=np.int64, ndmin=2)
     n_states = known.shape[1]
-    n_known, width = len(columns), int(known.max(initial=-1)) + 1
+    n_known = len(columns)
+    width = int(known.max(initial=-1)) + 1
 
     # Of fast arithmetic only the fusing of a multiplication with an addition: infinity and NaN
     # stay. Without the checks for a division by zero the compiler has more freedom.
@@ -62,8 +64,10 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         # One array for all that the inner loops write, and for the transition that they read: the
         # compiler then sees that the parts do not overlap.
         work = np.empty(n * n + 2 * n + n_columns)
-        moves, carried = work[: n * n], work[n * n : n * n + n]
-        predicted, share = work[n * n + n : n * n + 2 * n], work[n * n + 2 * n :]
+        moves = work[: n * n]
+        carried = work[n * n : n * n + n]
+        predicted = work[n * n + n : n * n + 2 * n]
+        share = work[n * n + 2 * n :]
         for s in range(n):
             carried[s] = joint[s]
         # The carried vector, times this, is the belief. It is multiplied in after the next
