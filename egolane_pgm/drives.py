@@ -235,7 +235,7 @@ def read_drives(
         path = existing(experiment, "ground_truth.path")
         known = read_ground_truth(path, annotated.extra_rows, log)
     if "frame_rate" not in recording.model_fields_set:
-        unit = (recording.columns or {}).get("time_unit", "s")
+        unit = None if recording.detector else (recording.columns or {}).get("time_unit", "s")
         for note in clock_warning(log.source, log.frame_id, log.time_s, unit):
             warnings.warn(note, UserWarning, stacklevel=2)
     if own_rate is not None and "frame_rate" not in recording.model_fields_set:

@@ -83,9 +83,11 @@ def fields_of(bag: AnyReader, topic: str) -> Fields:
 def _connections(bag: AnyReader, topic: str) -> list[Connection]:
     chosen = [each for each in bag.connections if each.topic == topic]
     for each in chosen:
-        kind, text = each.msgtype, each.msgdef
-        is_blank = text.format != MessageDefinitionFormat.NONE and not text.data.strip()
-        if kind not in bag.typestore.fielddefs or (is_blank and kind != "std_msgs/msg/Empty"):
+        kind = each.msgtype
+        has_text = each.msgdef.format == MessageDefinitionFormat.NONE or each.msgdef.data.strip()
+        # A trigger has no fields.
+        is_known = has_text or kind == "std_msgs/msg/Empty"
+        if not is_known or kind not in bag.typestore.fielddefs:
             raise InputError(
                 f"has no definition of {kind}; convert it to MCAP where that type is known:"
                 " `ros2 bag convert`"

@@ -48,15 +48,16 @@ def test_the_unit_of_a_number_gives_a_plausible_time(
         # The unit of a date is right.
         (1.79e9, 100, "s", "; if it is right, set recording.frame_rate"),
         (0, 0, "s", "; if it is right, set recording.frame_rate"),
+        (0, 100, None, "; if it is right, set recording.frame_rate"),
     ],
 )
 def test_a_step_that_is_not_plausible_is_warned_of_with_the_cure(
-    first: float, step: float, unit: str, cure: str | None
+    first: float, step: float, unit: str | None, cure: str | None
 ) -> None:
     frame_id = np.arange(N_FRAMES)
     warned = clock_warning("a.csv", frame_id, first + step * frame_id, unit)
     assert [text.partition(" s; ")[0] for text in warned] == (
-        [] if cure is None else [f"a.csv: the median time between two frames is {step:.4g}"]
+        [] if cure is None else [f"a.csv: the median step of its times is {step:.4g}"]
     )
     assert cure is None or f"; {warned[0].partition(' s; ')[2]}".startswith(cure)
 
@@ -83,4 +84,4 @@ def test_a_run_is_warned_of_its_clock_unless_the_rate_is_given(
     columns: Any, overrides: Any, is_warned: bool
 ) -> None:
     run = ego.run(times(), n_lanes=3, columns=columns, overrides=overrides)
-    assert any("the median time between two frames" in text for text in run.notes) == is_warned
+    assert any("the median step of its times" in text for text in run.notes) == is_warned
