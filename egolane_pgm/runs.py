@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, overload
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import pandas as pd
 from annotated_types import Ge
@@ -68,16 +68,46 @@ class Input(NamedTuple):
         return read_drives(self.experiment, self.lines, self.truth, self.tags)
 
 
-@overload
-def run(given: Any, *, table: StrPath | pd.DataFrame, **options: Any) -> pd.DataFrame: ...
+class RunOptions(TypedDict, total=False):
+    """The options of `run` that do not change what it returns."""
+
+    experiment: ExperimentLike | None
+    overrides: Overrides
+    ground_truth: options.Truth | None
+    n_lanes: int | None
+    camera: StrPath | None
+    detector: StrPath | None
+    columns: options.ColumnNames
+    graph: options.Graph
+    chunk_frames: int | None
+    held_out: bool
+    out: StrPath | None
+    figures: bool
+    jobs: int
+    cluster: str | None
 
 
 @overload
-def run(given: Any, **options: Any) -> Result: ...
+def run(
+    given: Any, *, table: StrPath | pd.DataFrame, **options: Unpack[RunOptions]
+) -> pd.DataFrame: ...
 
 
-# The overloads leave the options to this one.
-def run(  # type: ignore[misc]
+@overload
+def run(
+    given: Any,
+    *,
+    table: StrPath | pd.DataFrame | None = None,
+    dry_run: Literal[True],
+    **options: Unpack[RunOptions],
+) -> str: ...
+
+
+@overload
+def run(given: Any, **options: Unpack[RunOptions]) -> Result: ...
+
+
+def run(
     given: Annotated[ExperimentLike | options.Lines | Result, Option("EXPERIMENT|LINES")],
     *,
     experiment: Annotated[ExperimentLike | None, Option("X.yaml")] = None,

@@ -101,13 +101,14 @@ def write_parquet(path: Path, frame: pd.DataFrame) -> None:
 def read_parquet(path: Path) -> pd.DataFrame:
     """Read a Parquet file. Raises InputError if it cannot be read."""
     import pandas as pd
+    from pyarrow import parquet
 
-    try:
-        with path.open("rb") as file:
+    with reading(path, "Parquet"), path.open("rb") as file:
+        try:
             return pd.read_parquet(file)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as Parquet: {reason}") from None
+        except (NotImplementedError, TypeError, ValueError, LookupError):
+            # The types that pandas noted in the file do not fit its columns.
+            return parquet.read_table(file).to_pandas(ignore_metadata=True)
 
 
 def to_jsonable(value: Any) -> Any:
@@ -135,7 +136,7 @@ def make_directory(directory: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Raise InputError if nothing can be written at a path."""
+    """Raise InputError if a path cannot be written."""
     nearest = path.absolute().parent
     try:
         while not nearest.exists():
@@ -158,14 +159,31 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 # --- reading ---------------------------------------------------------------------------------
 
 
+@contextlib.contextmanager
+def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
+    """Turn any error of a library for damaged bytes into an InputError that names the file.
+
+    - what: the kind of file. cure: advice, for the message.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except Exception as error:
+        problem = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        problem = problem.rstrip(".") or type(error).__name__
+        raise InputError(f"{path}: cannot be read as {what} ({problem}){cure}") from None
+
+
 def read_text(path: Path) -> str:
     """Read a text file in UTF-8, with or without a byte order mark; InputError if it cannot be."""
     try:
         return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read: is not text in UTF-8") from error
+    except (OSError, ValueError) as error:
+        # A path with a NUL character is a ValueError.
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from error
 
 
 def read_yaml(path: Path, example: str) -> dict[str, Any]:

@@ -93,6 +93,10 @@ RETURNS, WANDERS = 0.05, 0.1
 #: Probability that the scale of an unknown detector wanders, and how quickly that may change.
 MAY_WANDER, CHANGES = 0.05, 1e-4
 
+#: The factor of a width at which two neighbouring lanes are never seen at once, in each frame: such
+#: a width is impossible. It is so small because other widths may have sunk to ANOTHER_SCALE.
+NEVER_PAIRED = 1e-60
+
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
 KEPT_PAIRS = 0.9998
 
@@ -160,10 +164,12 @@ def line_classes(
     """Return the class of each line (`model.N_CLASSES`), -1 in padding, and whether its place is
     reliable; (T, L) each. An unknown LRI counts as the highest."""
     n_frames, n_lines = offset_m.shape
-    kind = np.full((n_frames, n_lines), -1)
-    is_strong = np.zeros((n_frames, n_lines), dtype=np.bool_)
+    kind = np.empty((n_frames, n_lines), dtype=np.int64)
+    is_strong = np.empty((n_frames, n_lines), dtype=np.bool_)
     for t in range(n_frames):
         for i in range(n_lines):
+            kind[t, i] = -1
+            is_strong[t, i] = False
             if not PLACEHOLDER_M < abs(offset_m[t, i]) < math.inf:
                 continue
             is_reliable = not lri[t, i] < STRONG_LRI
@@ -175,127 +181,194 @@ def line_classes(
     return kind, is_strong
 
 
-@kernel()
 def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
     """Return the lane width before each of T frames, (T, N_QUANTILES): equally probable values in
     rising order, in the unit of the offsets. The belief becomes that after the last frame.
 
     offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
+    # NumPy sorts at once; numba takes seconds to compile a sort.
+    return _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+
+
+@kernel()
+def _follow(belief: WidthBelief, lines_m: FloatArray) -> FloatArray:
+    """As `follow`; lines_m: (T, L) strong lines in rising order, then infinity; overwritten."""
     steady, wandering, pairs, counts, prior = belief
-    n_frames, n_lines = offset_m.shape
-    n_widths, n_table = len(prior), len(_LOG_LIKELIHOOD)
+    n_frames = len(lines_m)
     width_m = np.empty((n_frames, N_QUANTILES))
-    lines = np.empty(n_lines)
-    moved = np.empty(n_widths)
-    around = np.empty(n_widths)
-    support = np.empty(n_widths)
-    off_table = _LOG_LIKELIHOOD[0]
+    # The beliefs that predict a frame, and the support of its gaps for each width.
+    predicted = np.empty(len(prior))
+    kept = np.empty(len(prior))
+    around = np.empty(len(prior) + 2 * _HALF)
+    support = np.empty(len(prior))
     for t in range(n_frames):
-        # Predict.
-        moved[0], moved[-1] = steady[0], steady[-1]
-        for j in range(1, n_widths - 1):
-            moved[j] = steady[j] + STEADY_MOVES * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
-        for j in range(n_widths):
-            steady[j] = moved[j] + ANOTHER_SCALE * (prior[j] - moved[j])
-        # A width by which no two neighbouring lanes are ever seen at once is impossible. The factor
-        # is so small because other widths may have sunk to ANOTHER_SCALE.
-        total = 0.0
-        for j in range(n_widths):
-            if counts[1] >= ENOUGH_PAIRS and pairs[j] < LEAST_PAIRS * counts[1]:
-                steady[j] *= 1e-60
-            moved[j] = steady[j]
-            total += moved[j]
-        around[:] = 0.0
-        for j in range(n_widths):
-            moved[j] /= total
-            if moved[j] > 1e-6:
-                for d in range(max(-_HALF, -j), min(_HALF, n_widths - 1 - j) + 1):
-                    around[j + d] += moved[j] * _SPREAD[d + _HALF]
-        left = wandering[0]
-        total = 0.0
-        for j in range(n_widths):
-            here = wandering[j]
-            right = wandering[j + 1] if j + 1 < n_widths else here
-            new = here + WANDERING_MOVES * (left - 2 * here + right)
-            wandering[j] = new + RETURNS * (around[j] - new)
-            if counts[1] >= ENOUGH_PAIRS and pairs[j] < LEAST_PAIRS * counts[1]:
-                wandering[j] *= 1e-60
-            total += wandering[j]
-            left = here
-        for j in range(n_widths):
-            wandering[j] /= total
+        for j in range(len(prior)):
+            is_paired = counts[1] < ENOUGH_PAIRS or pairs[j] >= LEAST_PAIRS * counts[1]
+            kept[j] = 1.0 if is_paired else NEVER_PAIRED
+        _predict_steady(steady, prior, kept, predicted)
+        _predict_wandering(wandering, predicted, kept, around)
         counts[0] += CHANGES * (MAY_WANDER - counts[0])
-        # The quantiles of the mixture.
         below = 0.0
         k = 0
-        for j in range(n_widths):
-            below += counts[0] * wandering[j] + (1 - counts[0]) * moved[j]
+        for j in range(len(prior)):
+            below += counts[0] * wandering[j] + (1 - counts[0]) * predicted[j]
             while k < N_QUANTILES and below * N_QUANTILES >= k + 0.5:
                 width_m[t, k] = math.exp(_LOG_NARROWEST + _STEP * j)
                 k += 1
-        # The gaps of this frame.
-        n = 0
-        for i in range(n_lines):
-            if is_strong[t, i]:
-                lines[n] = offset_m[t, i]
-                n += 1
-        if n < 2:
-            continue
-        lines[:n].sort()
-        largest = 0.0
-        for i in range(n - 1):
-            largest = max(largest, lines[i + 1] - lines[i])
-        single = 1
-        for i in range(1, n):
-            if lines[i] - lines[single - 1] > DOUBLE * largest:
-                lines[single] = lines[i]
-                single += 1
-        for j in range(n_widths):
-            pairs[j] *= KEPT_PAIRS
-            support[j] = 0.0
-        counts[1] *= KEPT_PAIRS
-        n_gaps = 0
-        for apart in (1, 2):
-            for i in range(single - apart):
-                gap = lines[i + apart] - lines[i]
-                if gap == math.inf:
-                    continue
-                n_gaps += 1
-                if apart == 2:
-                    counts[1] += 1
-                start = round((math.log(gap) - _LOG_NARROWEST) / _STEP) - _FIRST
-                # Widths whose gap is off the table are alike.
-                for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
-                    support[j] += _LOG_LIKELIHOOD[start - j] - off_table
-                    if apart == 2:
-                        pairs[j] += _IS_TWO_LANES[start - j]
-        if n_gaps == 0:
-            continue
-        most = 0.0
-        for j in range(n_widths):
-            most = max(most, support[j])
-        of_steady = 0.0
-        of_wandering = 0.0
-        total = 0.0
-        total_wandering = 0.0
-        for j in range(n_widths):
-            # Most neighbours have equal gaps, and exp takes longer than the rest.
-            if j == 0 or support[j] != support[j - 1]:
-                likelihood = math.exp((support[j] - most) / ALIKE)
-                quick = math.exp((support[j] - most) / ALIKE_WANDERING)
-            of_steady += moved[j] * quick
-            of_wandering += wandering[j] * quick
-            steady[j] *= likelihood
-            total += steady[j]
-            wandering[j] *= quick
-            total_wandering += wandering[j]
-        for j in range(n_widths):
-            steady[j] /= total
-            wandering[j] /= total_wandering
-        of_wandering *= counts[0]
-        counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
+        n = _without_doubles(lines_m[t])
+        if n > 0 and _compare_gaps(lines_m[t], n, pairs, counts, support):
+            _weigh_widths(steady, wandering, counts, predicted, support)
     return width_m
+
+
+@kernel(no_cpython_wrapper=True)
+def _predict_steady(
+    steady: FloatArray, prior: FloatArray, kept: FloatArray, predicted: FloatArray
+) -> None:
+    """Predict the belief in a steady width; fill `predicted`, normalised.
+
+    - kept: factor of each width
+    """
+    n_widths = len(prior)
+    predicted[0], predicted[-1] = steady[0], steady[-1]
+    for j in range(1, n_widths - 1):
+        second = steady[j - 1] - 2 * steady[j] + steady[j + 1]
+        predicted[j] = steady[j] + STEADY_MOVES * second
+    for j in range(n_widths):
+        steady[j] = (predicted[j] + ANOTHER_SCALE * (prior[j] - predicted[j])) * kept[j]
+    total = 0.0
+    for j in range(n_widths):
+        predicted[j] = steady[j]
+        total += predicted[j]
+    for j in range(n_widths):
+        predicted[j] /= total
+
+
+@kernel(no_cpython_wrapper=True)
+def _predict_wandering(
+    wandering: FloatArray, steady: FloatArray, kept: FloatArray, around: FloatArray
+) -> None:
+    """Predict the belief in a width that wanders around a steady one.
+
+    - steady: predicted belief in the steady width
+    - kept: factor of each width
+    - around: overwritten; _HALF longer on either side
+    """
+    n_widths = len(steady)
+    for j in range(len(around)):
+        around[j] = 0.0
+    for j in range(n_widths):
+        if steady[j] > 1e-6:
+            for d in range(2 * _HALF + 1):
+                around[j + d] += steady[j] * _SPREAD[d]
+    left = wandering[0]
+    total = 0.0
+    for j in range(n_widths):
+        here = wandering[j]
+        right = wandering[j + 1] if j + 1 < n_widths else here
+        new = here + WANDERING_MOVES * (left - 2 * here + right)
+        wandering[j] = (new + RETURNS * (around[j + _HALF] - new)) * kept[j]
+        total += wandering[j]
+        left = here
+    for j in range(n_widths):
+        wandering[j] /= total
+
+
+@kernel(no_cpython_wrapper=True)
+def _without_doubles(lines: FloatArray) -> int:
+    """Move the lines that repeat no other to the front; return their number, 0 for a single line.
+
+    - lines: (L,) in rising order, then infinity
+    """
+    n = 0
+    largest = 0.0
+    while n < len(lines) and lines[n] < math.inf:
+        if n > 0:
+            largest = max(largest, lines[n] - lines[n - 1])
+        n += 1
+    if n < 2:
+        return 0
+    single = 1
+    for i in range(1, n):
+        if lines[i] - lines[single - 1] > DOUBLE * largest:
+            lines[single] = lines[i]
+            single += 1
+    return single
+
+
+@kernel(no_cpython_wrapper=True)
+def _compare_gaps(
+    lines: FloatArray, n: int, pairs: FloatArray, counts: FloatArray, support: FloatArray
+) -> bool:
+    """Compare the gaps between n sorted lines with every width; return whether there are any.
+
+    - support: filled with the logarithm of the likelihood of each width
+    """
+    n_widths = len(pairs)
+    n_table = len(_LOG_LIKELIHOOD)
+    off_table = _LOG_LIKELIHOOD[0]
+    for j in range(n_widths):
+        pairs[j] *= KEPT_PAIRS
+        support[j] = 0.0
+    counts[1] *= KEPT_PAIRS
+    n_gaps = 0
+    for apart in (1, 2):
+        for i in range(n - apart):
+            gap = lines[i + apart] - lines[i]
+            if gap == math.inf:
+                continue
+            n_gaps += 1
+            if apart == 2:
+                counts[1] += 1
+            start = round((math.log(gap) - _LOG_NARROWEST) / _STEP) - _FIRST
+            # Widths whose gap is off the table are alike.
+            for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
+                support[j] += _LOG_LIKELIHOOD[start - j] - off_table
+                if apart == 2:
+                    pairs[j] += _IS_TWO_LANES[start - j]
+    return n_gaps > 0
+
+
+@kernel(no_cpython_wrapper=True)
+def _weigh_widths(
+    steady: FloatArray,
+    wandering: FloatArray,
+    counts: FloatArray,
+    predicted: FloatArray,
+    support: FloatArray,
+) -> None:
+    """Weigh both beliefs, and the probability that the scale wanders, with a frame's gaps.
+
+    - predicted: normalised belief in a steady width
+    - support: logarithm of the likelihood of each width
+    """
+    n_widths = len(steady)
+    most = 0.0
+    for j in range(n_widths):
+        most = max(most, support[j])
+    of_steady = 0.0
+    of_wandering = 0.0
+    total = 0.0
+    total_wandering = 0.0
+    likelihood = 0.0
+    quick = 0.0
+    for j in range(n_widths):
+        # Most neighbours have equal gaps, and exp takes longer than the rest.
+        if j == 0 or support[j] != support[j - 1]:
+            likelihood = math.exp((support[j] - most) / ALIKE)
+            quick = math.exp((support[j] - most) / ALIKE_WANDERING)
+        of_steady += predicted[j] * quick
+        of_wandering += wandering[j] * quick
+        steady[j] *= likelihood
+        total += steady[j]
+        wandering[j] *= quick
+        total_wandering += wandering[j]
+    for j in range(n_widths):
+        steady[j] /= total
+        wandering[j] /= total_wandering
+    of_wandering *= counts[0]
+    counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
 
 
 def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:

@@ -94,17 +94,23 @@ def forward_banded(
     # Zeros on both sides, so that the band never leaves the array.
     before = np.zeros(n_wide + 2 * widest)
     predicted = np.zeros((n_others, n_wide))
-    belief = joint.copy().reshape(n_others, n_wide)
+    belief = np.empty((n_others, n_wide))
+    for q in range(n_others):
+        for r in range(n_wide):
+            belief[q, r] = joint[q * n_wide + r]
     of_wide = np.zeros(n_wide)
     of_others = np.zeros(n_others)
     for t in range(begins.shape[0]):
         u = index[t]
         if begins[t]:
-            predicted.ravel()[:] = prior[u]
+            for q in range(n_others):
+                for r in range(n_wide):
+                    predicted[q, r] = prior[u, q * n_wide + r]
         else:
             for q in range(n_others):
                 mixed = before[widest : widest + n_wide]
-                mixed[:] = 0.0
+                for r in range(n_wide):
+                    mixed[r] = 0.0
                 for p in range(n_others):
                     source = belief[p]
                     weight = others[u, p, q]
@@ -133,8 +139,7 @@ def forward_banded(
         total[t] = mass
         is_impossible[t] = not LEAST <= mass <= MOST
         if is_impossible[t]:
-            belief[:] = predicted
-            mass = predicted.sum()
+            mass = _copy(predicted, belief)
         scale = 1.0 / mass
         for q in range(n_others):
             target, row = belief[q], beliefs[t, q * n_wide : (q + 1) * n_wide]
@@ -142,7 +147,8 @@ def forward_banded(
                 target[r] *= scale
                 row[r] = target[r]
         if is_factored:
-            of_wide[:] = 0.0
+            for r in range(n_wide):
+                of_wide[r] = 0.0
             for q in range(n_others):
                 mass = 0.0
                 for r in range(n_wide):
@@ -152,4 +158,17 @@ def forward_banded(
             for q in range(n_others):
                 for r in range(n_wide):
                     belief[q, r] = of_others[q] * of_wide[r]
-    joint[:] = belief.ravel()
+    for q in range(n_others):
+        for r in range(n_wide):
+            joint[q * n_wide + r] = belief[q, r]
+
+
+@kernel(no_cpython_wrapper=True)
+def _copy(source: FloatArray, target: FloatArray) -> float:
+    """Copy an array of two axes; return its sum."""
+    total = 0.0
+    for q in range(source.shape[0]):
+        for r in range(source.shape[1]):
+            target[q, r] = source[q, r]
+            total += source[q, r]
+    return total

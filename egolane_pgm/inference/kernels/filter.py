@@ -59,10 +59,9 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         n = n_states if n_states else joint.shape[0]
         n_nodes = n_known if n_states else column.shape[0]
         n_columns = width if n_states else column.max() + 1
-        given, written = likelihood.ravel(), beliefs.ravel()
         # One array for all that the inner loops write, and for the transition that they read: the
         # compiler then sees that the parts do not overlap.
-        work = np.zeros(n * n + 2 * n + n_columns)
+        work = np.empty(n * n + 2 * n + n_columns)
         moves, carried = work[: n * n], work[n * n : n * n + n]
         predicted, share = work[n * n + n : n * n + 2 * n], work[n * n + 2 * n :]
         for s in range(n):
@@ -91,7 +90,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
                         predicted[s] += weight * moves[r * n + s]
             mass = 0.0
             for s in range(n):
-                carried[s] = predicted[s] * scale * given[t * n + s]
+                carried[s] = predicted[s] * scale * likelihood[t, s]
             for s in range(n):
                 mass += carried[s]
             total[t] = mass
@@ -103,7 +102,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
                     mass += carried[s]
             scale = 1.0 / mass
             for s in range(n):
-                written[t * n + s] = carried[s] * scale
+                beliefs[t, s] = carried[s] * scale
             if is_factored:
                 for c in range(n_columns):
                     share[c] = 0.0
@@ -132,7 +131,8 @@ def multiply_likelihood(block: FloatArray, emission: FloatArray, likelihood: Flo
     """
     term = np.empty(emission.shape[1])
     for t in range(block.shape[0]):
-        term[:] = 0.0
+        for s in range(emission.shape[1]):
+            term[s] = 0.0
         for k in range(emission.shape[0]):
             share = block[t, k]
             for s in range(emission.shape[1]):
