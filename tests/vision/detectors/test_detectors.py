@@ -20,7 +20,7 @@ from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 from tests.kits.tiny_network import top_hat_file
 
 OWN = str(Path(__file__).parents[3] / "examples" / "my_detector.py")
-NAMES = [*plugin_names("detectors"), OWN]
+NAMES = [*plugin_names(Detector), OWN]
 N_FRAMES = 14
 
 #: Detections that make a line valid, and the share of them below which it is not any more.
