@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.recordings.clock import unit_of
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, suggestion
@@ -38,6 +39,9 @@ _KNOT = 0.514444
 
 #: Seconds.
 _HALF_DAY_S = 43_200
+
+#: Plausible seconds between two positions.
+_STEP_S = (0.01, 60.0)
 
 #: A sentence with fewer fields is cut off: the date of RMC is its ninth.
 _NMEA_FIELDS = 10
@@ -112,6 +116,12 @@ class Positions:
                 warnings.warn(f"{source}: {left_out}", UserWarning, stacklevel=3)
         if kept.empty:
             raise InputError(f"{source}: has no position with a time and a fix")
+        step_s = float(np.median(np.diff(kept.t_s))) if len(kept) > 1 else 1.0
+        if unit_of(step_s, _STEP_S) != "s":
+            unit = unit_of(step_s, _STEP_S) or "another unit"
+            wrong = f"the median time between two positions is {step_s:.4g} s"
+            cure = f"if the times are in {unit}, convert them to seconds"
+            warnings.warn(f"{source}: {wrong}; {cure}", UserWarning, stacklevel=3)
         return cls(**{name: kept[name].to_numpy() for name in kept}, source=source)
 
 

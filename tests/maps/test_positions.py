@@ -143,6 +143,18 @@ def test_times_that_repeat_are_left_out() -> None:
     assert found.latitude.tolist() == [52, 53, 54]
 
 
+@pytest.mark.parametrize(
+    ("step", "unit"), [(0.1, ""), (30, ""), (1000, "ms"), (10**6, "us"), (0.001, "another unit")]
+)
+def test_an_implausible_clock_is_warned_of(tmp_path: Path, step: float, unit: str) -> None:
+    rows = [f"{k * step},52.{k},4\n" for k in range(4)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_positions(write(tmp_path / "a.csv", f"t,lat,lon\n{''.join(rows)}"))
+    cures = [str(w.message).partition("if the times are in ")[2] for w in caught]
+    assert cures == ([f"{unit}, convert them to seconds"] if unit else [])
+
+
 #: 4 May 2024.
 DAY = 1_714_780_800
 
