@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
-from egolane_pgm.inference.sampling import posterior_paths, predicted, sampled_states
+from egolane_pgm.inference.sampling import drawn_paths, predicted, sampled_states
 from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, per_lane
 from egolane_pgm.plugins import declared_parameters
@@ -114,7 +114,7 @@ def check(
     """
     result = single_drive(result)
     compiled, rate, evidence = result.model.compiled, result.frame_rate, result.evidence
-    posterior = Draws(posterior_paths(compiled, evidence, n, seed), rate)
+    posterior = Draws(drawn_paths(compiled, evidence, n, seed), rate)
     states = sampled_states(
         compiled, len(evidence), n, np.random.default_rng(seed), evidence.inputs
     )

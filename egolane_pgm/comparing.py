@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.contracts import Rule
 from egolane_pgm.drives import drive_key
 from egolane_pgm.experiment import DETECTOR
-from egolane_pgm.plugins import OWN_FILES, load_plugin
+from egolane_pgm.identity import content_of, digest_of
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import score_intervals
@@ -126,7 +126,7 @@ def open_results(results: Any) -> list[Result]:
         folder = Path(each)
         below = sorted(file.parent for file in folder.glob("**/run.json"))
         if (folder / SUMMARY).exists():
-            rows = list(read_parquet(folder / SUMMARY).index)
+            rows = list(read_parquet(folder / SUMMARY)["name"])
             below.sort(key=lambda p: rows.index(p.name) if p.name in rows else len(rows))
         found += map(load_result, below or [folder])
     return found
@@ -139,15 +139,17 @@ def _default_key(results: Sequence[Result]) -> str:
     if len({_recording(each) for each in results}) > 1:
         return "folder"
     # Held-out results of studies are all in directories `held_out`.
-    keys = ("name", "directory", "folder")
+    keys = ("name", "graph", "directory", "folder")
     is_fit = (k for k in keys if len({_value(each, k) for each in results}) == len(results))
     return next(is_fit, "directory")
 
 
 def _recording(result: Result) -> str:
-    """The file of a result's recording, or its simulated drive."""
-    recording = result.experiment.recording
-    return recording.path or f"{recording.simulate}, seed {recording.seed}"
+    """The checksum of a result's recording, or its simulated drive."""
+    recording, path = result.experiment.recording, str(result.experiment.recording.path)
+    known = {entry["path"]: entry["sha256"] for entry in result.run["data"]}
+    simulated = f"{recording.simulate}, seed {recording.seed}"
+    return simulated if recording.simulate else known.get(path, path)
 
 
 def _value(result: Result, key: str | None) -> Any:
@@ -265,7 +267,7 @@ def _intervals(
 
 def _differ_in(sides: Sequence[Sequence[Result]]) -> str:
     """Why log evidence of the sides cannot be compared; empty if it can."""
-    if not all("free_parameters" in each.run for side in sides for each in side):
+    if not all("of_rule" in each.run for side in sides for each in side):
         return "a result was written by an older version; run it again"
     is_same = len({tuple(map(_evidence_key, side)) for side in sides}) == 1
     return "" if is_same else "the rows differ in evidence rule, its parameters or observed nodes"
@@ -310,12 +312,11 @@ def _by_frame(result: Result) -> pd.Series[float]:
 
 
 def _evidence_key(result: Result) -> str:
-    """A text that is equal for results with the same evidence, up to their graphs."""
-    e, run = result.experiment, result.run
-    rule = load_plugin(Rule, e.evidence, f"{result.name}: evidence")
-    names = {spec.name for spec in rule.parameters}
+    """A checksum that is equal for results with the same evidence, up to their graphs."""
+    run, others = result.run, ("graph", "filter", "lag", "start_lane", "min_confidence", "fit")
+    content = content_of(result.experiment, [*others, "tuned_on", "ground_truth", "parameters"])
+    content["recording"].pop("frames")
+    names = {DETECTOR, *run["of_rule"]}
     fits = [run["config"]["parameters"], *run.get("fitted", ())]
-    own = [{k: v for k, v in each.items() if k in names or DETECTOR in k} for each in fits]
-    source = Path(e.evidence).read_text() if e.evidence.endswith(OWN_FILES) else e.evidence
-    recording = e.recording.model_dump(include={"format", "topic", "camera", "detector"})
-    return str((source, e.evidence_mode, [*filter(None, own)], recording, run["observed"]))
+    own = [{k: v for k, v in each.items() if k.split(".")[0] in names} for each in fits]
+    return digest_of(content, [*filter(None, own)], run["observed"])

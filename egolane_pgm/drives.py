@@ -23,6 +23,7 @@ from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model, with_inputs
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import format_of, read_lines, reader_of
+from egolane_pgm.recordings.clock import clock_warning
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
     fill_missing,
@@ -67,7 +68,7 @@ class Drive:
     log: LineLog
     true_lane: IntArray
     is_crossing: BoolArray
-    marks: Marks
+    marks: Marks = field(default_factory=Marks)
     tags: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -233,6 +234,10 @@ def read_drives(
     elif annotated is not None:
         path = existing(experiment, "ground_truth.path")
         known = read_ground_truth(path, annotated.extra_rows, log)
+    if "frame_rate" not in recording.model_fields_set:
+        unit = None if recording.detector else (recording.columns or {}).get("time_unit", "s")
+        for note in clock_warning(log.source, log.frame_id, log.time_s, unit):
+            warnings.warn(note, UserWarning, stacklevel=2)
     if own_rate is not None and "frame_rate" not in recording.model_fields_set:
         experiment = with_rate(experiment, own_rate)
         recording = experiment.recording
@@ -263,7 +268,7 @@ def make_drive(
     model: Model,
     log: LineLog,
     truth: pd.DataFrame | None,
-    marks: Marks,
+    marks: Marks = Marks(),  # noqa: B008
     *,
     most_lanes: int = 0,
 ) -> Drive:

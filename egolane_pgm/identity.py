@@ -117,8 +117,8 @@ class Marks:
     - labels: one for the lanes and lengths of each `RUNS_PER_MARK` successive runs of equal labels.
     """
 
-    lines: frozenset[int]
-    labels: frozenset[int]
+    lines: frozenset[int] = frozenset()
+    labels: frozenset[int] = frozenset()
 
 
 def marks_of(log: LineLog, truth: pd.DataFrame | None) -> Marks:

@@ -69,7 +69,8 @@ class Labels:
 
     def segments(self) -> pd.DataFrame:
         """A row per uncertain segment: frame ids, seconds, frames and the lowest confidence."""
-        ids, time_s = self.frames.index, self.frames["time_s"].to_numpy()
+        ids = self.frames.index
+        time_s = self.frames["time_s"].to_numpy()
         confidence = self.frames["confidence"].to_numpy()
         rows = [
             (ids[a], ids[b - 1], time_s[a], time_s[b - 1], b - a, confidence[a:b].min())
@@ -79,7 +80,8 @@ class Labels:
         return pd.DataFrame(rows, columns=names)
 
     def __repr__(self) -> str:
-        unsure, n = self.segments()["frames"], len(self.frames)
+        unsure = self.segments()["frames"]
+        n = len(self.frames)
         changes = np.count_nonzero(np.diff(self.frames["lane"]))
         text = (
             f"{self.run.name!r}: {n} frames, {self.run.n_lanes} lanes, {changes} lane"
@@ -123,7 +125,8 @@ def label_input(given: Input, below: float = BELOW) -> Labels:
     run = run_input(given._replace(experiment=load_experiment(given.experiment, changes)))
     if len(run.lines) > 1:
         raise InputError(f"{run.name}: has {len(run.lines)} drives; label them one by one")
-    belief, time_s = run.node("Lane"), run.frames["time_s"].to_numpy()
+    belief = run.node("Lane")
+    time_s = run.frames["time_s"].to_numpy()
     lane = lane_path(belief)
     on_line = run.frames.get("line_crossing_probability")
     possible = crossed_lanes(lane, time_s, belief.shape[1], on_line)
@@ -142,7 +145,8 @@ def lane_path(belief: FloatArray) -> IntArray:
     n_frames, n_lanes = belief.shape
     lanes = np.arange(n_lanes)
     step = np.log(CHANGE_WEIGHT) * np.abs(lanes[:, None] - lanes)
-    path, index = np.zeros(n_frames, dtype=np.int64), np.zeros(n_frames, dtype=np.int64)
+    path = np.zeros(n_frames, dtype=np.int64)
+    index = np.zeros_like(path)
     with np.errstate(divide="ignore"):
         best_path(np.zeros((1, n_lanes)), step[None], np.log(belief), index, path)
     return path + 1
@@ -151,7 +155,7 @@ def lane_path(belief: FloatArray) -> IntArray:
 def crossed_lanes(
     lane: IntArray, time_s: FloatArray, n_lanes: int, on_line: ArrayLike | None
 ) -> BoolArray:
-    """The lanes that the car is in (T, n): one, or several during a crossing.
+    """Mark the lanes that the car occupies (T, n): one, or several during a crossing.
 
     - lane, time_s (T,): labels and seconds.
     - on_line (T,): the line crossing probability; None if the graph has no position in the lane.

@@ -241,7 +241,7 @@ def with_graph(experiment: Experiment, given: Any) -> Experiment:
     tables. Raises InputError for anything else, and for a network that cannot be compiled.
     """
     where = f"{experiment.source}: graph"
-    graph = _as_graph(given, experiment)
+    graph = as_graph(given, experiment)
     loaded = load_plugin(Graph, graph, where)
     evidence = matching_evidence_rule(loaded, experiment.n_lanes, experiment.evidence, where)
     rule = load_plugin(Rule, evidence, where)
@@ -252,7 +252,7 @@ def with_graph(experiment: Experiment, given: Any) -> Experiment:
     return experiment.model_copy(update=changes | origin)
 
 
-def _as_graph(given: Any, experiment: Experiment) -> str | Graph:
+def as_graph(given: Any, experiment: Experiment) -> str | Graph:
     """The value of the key `graph` for a graph of any kind."""
     if isinstance(given, (str, os.PathLike)):
         name = os.fspath(given)

@@ -85,18 +85,24 @@ def _online(
             yield log
 
     lanes = [f"Lane_{k}" for k in range(1, model.n_lanes + 1)]
-    state, events = NO_EVENTS, []
+    state = NO_EVENTS
+    events = []
     for columns in infer(model, noted()):
         posterior = np.stack([columns[name] for name in lanes], axis=1)
         offset = columns.get("lateral_offset")
-        for t in range(len(posterior)):
-            here = slice(t, t + 1)
+        begin = 0
+        for t, frame_id in enumerate(columns["frame_id"].tolist()):
+            # Filled-in frames have no answer. A long gap has many, so they are searched at once.
+            is_due = frame_id == recorded[0]
+            if not is_due and t < len(posterior) - 1:
+                continue
+            here = slice(begin, t + 1)
+            begin = t + 1
             place = None if offset is None else offset[here]
             when = columns["frame_id"][here], columns["time_s"][here]
             state, _, found = next_events(state, posterior[here], *when, place)
             events += _event_rows(found)
-            # Filled-in frames have no answer.
-            if columns["frame_id"][t] == recorded[0]:
+            if is_due:
                 recorded.popleft()
                 yield _answer(model, columns, t, posterior[t], events, nodes)
                 events = []
@@ -152,12 +158,14 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
     Raises InputError, naming the message, for one that cannot be used.
     """
     recording = with_inputs(experiment).recording
-    after, before = 0, -np.inf
+    after = 0
+    before = -np.inf
     for number, text in enumerate(messages, start=1):
         if text.strip():
             where = f"message {number}"
             log = _parse(text, where, recording, after)
-            after, now = int(log.frame_id[0]) + 1, float(log.time_s[0])
+            after = int(log.frame_id[0]) + 1
+            now = float(log.time_s[0])
             if not before <= now < np.inf:
                 raise InputError(f"{where}: time_s: {now:g} is not after that of the last message")
             before = now
@@ -166,7 +174,8 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 
 def _parse(text: str, where: str, recording: Recording, after: int) -> LineLog:
     """Return one frame. after: its id if the message has a time only."""
-    columns, frame_rate = recording.columns, recording.frame_rate
+    columns = recording.columns
+    frame_rate = recording.frame_rate
     try:
         content = from_json(text)
     except ValueError as error:
@@ -179,7 +188,8 @@ def _parse(text: str, where: str, recording: Recording, after: int) -> LineLog:
             raise InputError(f"{where}: is not a JSON object")
         return lines_of_messages([content], columns, where, frame_rate, after)
     message = validated(_Message, content, where)
-    lines, time_s = message.lines, message.time_s
+    lines = message.lines
+    time_s = message.time_s
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id
     if frame_id is None:
         raise InputError(f"{where}: frame_id: is missing, as is time_s")

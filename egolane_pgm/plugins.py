@@ -185,8 +185,10 @@ def _check_function(kind: type[Plugin], field: Field[Any], value: Any, where: st
     """Return a function that can be called as its protocol is."""
     called = inspect.signature(_protocols(kind)[field.name].__call__).parameters.values()
     needed = [each.name for each in called if each.kind is each.POSITIONAL_ONLY][1:]
+    has_options = any(each.kind is each.VAR_KEYWORD for each in called)
     try:
-        inspect.signature(value).bind(*needed)
+        signature = inspect.signature(value)
+        (signature.bind_partial if has_options else signature.bind)(*needed)
     except (TypeError, ValueError):
         raise InputError(f"{where}: needs a function of ({', '.join(needed)})") from None
     return value

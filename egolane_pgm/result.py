@@ -1,8 +1,8 @@
 """Results: one table with a row per frame, its scores and its provenance.
 
 A result directory contains experiment.yaml, run.json, scores.json, beliefs.parquet
-(`Result.frames`), lines.parquet and events.csv. run.json is removed first and written last, so a
-directory with it is complete.
+(`Result.frames`), lines.parquet and events.csv, and graph.yaml if the graph was in memory. It is
+written beside and then exchanged with an older one.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from egolane_pgm.scoring import score_all
 from egolane_pgm.scoring.events import Reported, event_delays, score_events, stability_scores
 from egolane_pgm.tools.files import (
     check_place,
-    make_directory,
     read_parquet,
+    replaced_directory,
     to_jsonable,
     write_json,
     write_yaml,
@@ -188,31 +188,25 @@ class Result:
         return inline_figure(lambda: result_strips(self, first, last))
 
     def save(self, directory: str | os.PathLike[str], *, figures: bool = False) -> Path:
-        """Write the result directory; an older result is replaced, other files stay.
+        """Write the result directory. It is whole, or the older result is; other files stay.
 
         - figures: also draw the posterior over time, figures/strips.png.
 
         Raises InputError if the directory holds something else or cannot be written.
         """
-        place = Path(directory)
-        check_writable(place)
-        make_directory(place)
-        (place / "run.json").unlink(missing_ok=True)
-        try:
+        check_writable(Path(directory))
+        with replaced_directory(Path(directory), is_of_result) as place:
             self.frames.to_parquet(place / "beliefs.parquet")
-            config = self._write_inputs(place)
-        except OSError as error:
-            raise InputError(f"{place}: cannot be written: {error.strerror or error}") from error
-        write_yaml(place / "experiment.yaml", config)
-        self.events.round(6).to_csv(place / "events.csv", index=False)
-        write_json(place / "scores.json", self.scores)
-        write_json(place / "run.json", self.run)
-        if figures:
-            from egolane_pgm.views.strips import result_strips
-            from egolane_pgm.views.style import write_figure
+            write_yaml(place / "experiment.yaml", self._write_inputs(place))
+            self.events.round(6).to_csv(place / "events.csv", index=False)
+            write_json(place / "scores.json", self.scores)
+            write_json(place / "run.json", self.run)
+            if figures:
+                from egolane_pgm.views.strips import result_strips
+                from egolane_pgm.views.style import write_figure
 
-            write_figure(lambda: result_strips(self), place / "figures" / "strips.png")
-        return place
+                write_figure(lambda: result_strips(self), place / "figures" / "strips.png")
+        return Path(directory)
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:
         """Write the lines and a graph in memory, and copy the user's own plugins; return the config
@@ -225,8 +219,7 @@ class Result:
                 config[key] = "./graph.yaml"
             elif plugin.endswith(OWN_FILES):
                 copy = f"{key}_{Path(plugin).name.removeprefix(f'{key}_')}"
-                if Path(plugin) != place.absolute() / copy:
-                    shutil.copyfile(plugin, place / copy)
+                shutil.copyfile(plugin, place / copy)
                 config[key] = f"./{copy}"
         if self.lines:
             logs = {n: log.take(~log.is_missing).to_pandas() for n, log in self.lines.items()}
@@ -240,11 +233,30 @@ def as_result(given: Any, what: str) -> Result:
     """A Result, or the in-sample result of a Study; `what` is the argument, for the InputError."""
     found = getattr(given, "in_sample", given)
     if not isinstance(found, Result):
-        raise InputError(f"{what}: {type(given).__name__} is neither a result nor a study")
+        kind = type(given).__name__
+        raise InputError(f"{what}: {kind} has no recording; give a result or a study of the model")
     return found
 
 
 # --- directories ---------------------------------------------------------------------------------
+
+
+#: The files of a result directory, but copies of plugins.
+FILES = (
+    "run.json",
+    "scores.json",
+    "beliefs.parquet",
+    "lines.parquet",
+    "events.csv",
+    "experiment.yaml",
+    "graph.yaml",
+    "figures",
+)
+
+
+def is_of_result(name: str) -> bool:
+    """Whether a file of this name in a result directory belongs to the result."""
+    return name in FILES or name.startswith(("evidence_", "graph_"))
 
 
 def is_result(directory: str | os.PathLike[str]) -> bool:
@@ -254,6 +266,8 @@ def is_result(directory: str | os.PathLike[str]) -> bool:
 
 def check_writable(directory: Path) -> None:
     """Raise InputError if a result cannot be written there; called before the computation."""
+    if directory.is_symlink():
+        raise InputError(f"{directory}: is a link; name a folder")
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file, not a directory")
     # The first file of a result, which may have been interrupted.
@@ -275,8 +289,22 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
     True
     """
     place = Path(directory)
-    if not is_result(place):
-        raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")
+    while True:
+        if not is_result(place):
+            raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")
+        before = os.stat(place)
+        try:
+            found = _read_result(place)
+        except InputError:
+            if os.path.samestat(before, os.stat(place)):
+                raise
+        else:
+            if os.path.samestat(before, os.stat(place)):
+                return found
+        # The directory was replaced meanwhile.
+
+
+def _read_result(place: Path) -> Result:
     try:
         run, scores = (json.loads((place / n).read_text()) for n in ("run.json", "scores.json"))
         if not (isinstance(run, dict) and isinstance(scores, dict)):
@@ -284,6 +312,8 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
         if "identity" not in run:
             raise InputError(f"{place}: was written by another version; run the experiment again")
         frames = read_parquet(place / "beliefs.parquet")
+        if len(frames) != run["frames"]:
+            raise ValueError(f"beliefs.parquet has {len(frames)} of {run['frames']} frames")
         experiment = load_experiment(place / "experiment.yaml")
         return Result(experiment, frames, run, scores, _read_lines(place, experiment), place)
     except InputError:
@@ -446,6 +476,7 @@ def make_result(
         "n_lanes": widest.n_lanes,
         "values": widest.values,
         "observed": [str(key) for key in model.compiled.observed],
+        "of_rule": [spec.name for spec in model.rule.parameters],
         "free_parameters": model.free_parameters,
         "frames": len(frames),
         "tuned_on": most_in_sample(drive.tuned_on() for drive in drives),

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, overload
+from typing import Annotated, Any, Literal, NamedTuple, TypedDict, Unpack, overload
 
 import pandas as pd
 from annotated_types import Ge
@@ -37,7 +38,7 @@ from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools import options
-from egolane_pgm.tools.files import make_directory
+from egolane_pgm.tools.files import make_directory, write_parquet
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.options import Option, StrPath, place_of
 from egolane_pgm.tools.progress import bar
@@ -68,16 +69,46 @@ class Input(NamedTuple):
         return read_drives(self.experiment, self.lines, self.truth, self.tags)
 
 
-@overload
-def run(given: Any, *, table: StrPath | pd.DataFrame, **options: Any) -> pd.DataFrame: ...
+class RunOptions(TypedDict, total=False):
+    """The options of `run` that do not change what it returns."""
+
+    experiment: ExperimentLike | None
+    overrides: Overrides
+    ground_truth: options.Truth | None
+    n_lanes: int | None
+    camera: StrPath | None
+    detector: StrPath | None
+    columns: options.ColumnNames
+    graph: options.Graph
+    chunk_frames: int | None
+    held_out: bool
+    out: StrPath | None
+    figures: bool
+    jobs: int
+    cluster: str | None
 
 
 @overload
-def run(given: Any, **options: Any) -> Result: ...
+def run(
+    given: Any, *, table: StrPath | pd.DataFrame, **options: Unpack[RunOptions]
+) -> pd.DataFrame: ...
 
 
-# The overloads leave the options to this one.
-def run(  # type: ignore[misc]
+@overload
+def run(
+    given: Any,
+    *,
+    table: StrPath | pd.DataFrame | None = None,
+    dry_run: Literal[True],
+    **options: Unpack[RunOptions],
+) -> str: ...
+
+
+@overload
+def run(given: Any, **options: Unpack[RunOptions]) -> Result: ...
+
+
+def run(
     given: Annotated[ExperimentLike | options.Lines | Result, Option("EXPERIMENT|LINES")],
     *,
     experiment: Annotated[ExperimentLike | None, Option("X.yaml")] = None,
@@ -291,7 +322,7 @@ def run_input(
 
     with noting() as notes:
         drives = given.drives()
-    return run_held_out(experiment, drives, n_blocks, notes=notes)
+    return run_held_out(drives, n_blocks, experiment=experiment, notes=notes)
 
 
 # --- tables of runs ------------------------------------------------------------------------------
@@ -390,9 +421,13 @@ def run_table(
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
     done = list(bar(rows, total=len(inputs), unit="run"))
-    summary = pd.DataFrame(done).set_index("name")
-    summary.to_parquet(folder / SUMMARY)
-    return summary
+    summary = pd.DataFrame(done)
+    try:
+        write_parquet(folder / SUMMARY, summary)
+    except InputError as error:
+        # The reasons of rows that failed are still returned.
+        warnings.warn(str(error), UserWarning, stacklevel=2)
+    return summary.set_index("name")
 
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:

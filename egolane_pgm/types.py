@@ -103,7 +103,8 @@ def near_word(word: str, known: Iterable[str]) -> str:
 def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
     """Return the runs of marked rows (T,): first row, and the one after the last."""
     edge = np.diff(np.concatenate([[0], marked.astype(np.int64), [0]]))
-    starts, stops = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+    starts = np.flatnonzero(edge == 1)
+    stops = np.flatnonzero(edge == -1)
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
 
 
@@ -408,11 +409,13 @@ class Evidence(_Frames):
             if node not in known:
                 meant = suggestion(str(node), known)
                 raise InputError(f"evidence for {node}: no such observed node or input{meant}")
-            name, names = str(node), compiled.values[str(node)]
+            name = str(node)
+            names = compiled.values[name]
             given[name] = pd.Index(names).get_indexer(column.convert_dtypes().astype("string"))
             unknown = np.flatnonzero((given[name] < 0) & column.notna())
             if len(unknown):
-                row, value = unknown[0], column[unknown[0]]
+                row = unknown[0]
+                value = column[row]
                 meant = f"{value!r} is not the name of a value{suggestion(str(value), names)}"
                 raise InputError(f"evidence for {node}: row {row}: {meant}")
         for node in compiled.inputs:

@@ -14,10 +14,10 @@ import pandas as pd
 
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.types import IntArray
 from tests.kits.lane_maps import random_trip
+from tests.reference.nearest_road import lock_on_road
 
 MAPS = ("north-bayreuth_A9_A70", "bautzen_A4")
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Rule
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import plugin_names
@@ -34,7 +35,7 @@ def growing(n_frames: int) -> LineLog:
 
 
 def test_every_evidence_rule_is_tried_here() -> None:
-    assert set(GRAPHS) == set(plugin_names("evidence"))
+    assert set(GRAPHS) == set(plugin_names(Rule))
 
 
 @needs_compiler

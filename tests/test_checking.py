@@ -28,7 +28,7 @@ def test_a_check_has_the_truth_the_posterior_and_the_model() -> None:
     drawn = [f"{what}{which}" for what in ("posterior", "model") for which in ("", "_low", "_high")]
     assert list(found) == ["truth", *drawn, "probability"]
     paths = ego.posterior_paths(RESULT.model, RESULT.evidence, 80, 5)["Lane"]
-    right = np.percentile((paths == 0).mean(axis=1), (50, 5, 95))
+    right = np.percentile((paths == "1").groupby("path").mean(), (50, 5, 95))
     assert found.loc[one, drawn[:3]].tolist() == right.tolist()
     assert found.truth["changes"] == (RESULT.truth.true_lane.diff()[1:] != 0).sum() / (30 / 3600)
     assert found.loc[sure, [*drawn, "probability"]].tolist() == [3] * 6 + [1]

@@ -12,8 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import egolane_pgm as ego
 from egolane_pgm.comparing import compare
-from egolane_pgm.drives import data_files, digest, drive_key
+from egolane_pgm.drives import drive_key
+from egolane_pgm.identity import data_files, digest
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.result import Result, load_result
@@ -162,24 +164,27 @@ def test_log_evidence_is_compared_over_the_frames_that_all_have(results: list[Re
     alone = bootstrap_interval(counts[1:], ratio)
     ours = interval(row, "log_evidence")
     assert ours == pytest.approx([alone.estimate, alone.low, alone.high], abs=1e-12)
-    # sigma1, sigma2, p1 to p4 and bonus_value; p3 of each of 4 lanes.
-    sizes = [7, 10]
+    sizes = [TABLES, TABLES]
     assert found["free_parameters"].to_list() == sizes
     right = [e.sum() - k * math.log(998) / 2 for e, k in zip(each, sizes, strict=True)]
     assert found["bic"].to_list() == pytest.approx(right)
+
+
+#: Of later frames Lane 4 x 3 and SensorState 2; of each state the output 4 x 3, WOR 1.
+#: DetectorOutput of a bad sensor is uniform, so its entries are free too.
+TABLES = 12 + 2 + 8 * 3 + 2
 
 
 def without_truth(frames: pd.DataFrame) -> pd.DataFrame:
     return frames.assign(true_lane=pd.NA, is_crossing=pd.NA)
 
 
-def test_the_free_numbers_of_fitted_tables_count_and_held_out_frames_have_no_bic() -> None:
+def test_the_free_parameters_of_tables_count_and_held_out_frames_have_no_bic() -> None:
     study = run_study([drive_of(simulated())], "learn", [])
     learned = compare(study.in_sample).iloc[0]
-    # Of later frames Lane 4 x 3 and SensorState 2; of each state the output 4 x 3, WOR 1; and
-    # bonus_value. DetectorOutput of a bad sensor is uniform, so its entries are free too.
-    graph = {"Lane": 12, "SensorState": 2, "DetectorOutput": 8 * 3, "WOR": 2}
-    assert learned["free_parameters"] == sum(graph.values()) + 1
+    assert learned["free_parameters"] == TABLES
+    network = ego.run(study.in_sample, graph=study.model.network)
+    assert network.run["free_parameters"] == TABLES
     held_out = run_held_out([drive_of(simulated(fit={"method": "learn"}))], 2)
     row = compare(held_out).iloc[0]
     assert row["free_parameters"] == learned["free_parameters"]

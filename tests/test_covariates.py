@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from egolane_pgm.studies.graph_file import graph_yaml
 
 import egolane_pgm as ego
 from egolane_pgm.graphs.cpds import quiet
+from egolane_pgm.model import graph_in_memory
 from egolane_pgm.online import online, read_messages
+from egolane_pgm.tools.files import write_yaml
 from tests.kits.bags import line_bag
 from tests.kits.drives import done, log_with_gaps, refused, short_drive, write_drive
 from tests.kits.streams import messages
@@ -25,7 +26,9 @@ import numpy as np
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import binary, uniform, within
 
-HIDDEN, OBSERVED, VALUES = sensor_failure.HIDDEN, sensor_failure.OBSERVED, sensor_failure.VALUES
+HIDDEN = sensor_failure.HIDDEN
+OBSERVED = sensor_failure.OBSERVED
+VALUES = sensor_failure.VALUES
 PARAMETERS = sensor_failure.PARAMETERS
 INPUTS = ("Rain",)
 BOUNDS = {"Rain": (0.5, 2.0)}
@@ -167,7 +170,7 @@ def test_a_result_a_yaml_graph_and_a_table_of_runs_keep_it(
     np.testing.assert_array_equal(loaded.evidence.inputs["Rain"], INDICES)
     pd.testing.assert_frame_equal(ego.run(loaded).frames, result.frames)
     file = tmp_path / "graph.yaml"
-    file.write_text(yaml.safe_dump(graph_yaml(result.model, "written")))
+    write_yaml(file, graph_in_memory(result.model, "unknown").keys or {})
     assert yaml.safe_load(file.read_text())["bounds"] == {"Rain": [0.5, 2.0]}
     same = run(with_rain(), file)
     pd.testing.assert_frame_equal(beliefs_of(same), beliefs_of(result))

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.labelling import (
+    BELOW,
     CHANGE_WEIGHT,
     NEAR_S,
     Labels,
@@ -117,7 +118,7 @@ def test_a_change_while_nothing_was_recorded_has_no_crossing_frames(then: float)
 def test_segments_join_frames_below_the_confidence() -> None:
     labels = simulated()
     confidence = np.ones(300)
-    confidence[[20, 25, 100]] = [0.9, 0.8, 0.98]
+    confidence[[20, 25, 100, 200]] = [0.9, 0.8, 0.98, BELOW]
     found = replace(labels, frames=labels.frames.assign(confidence=confidence)).segments()
     names = ["first_frame", "last_frame", "frames", "lowest_confidence"]
     assert found[names].to_numpy().tolist() == [[20, 25, 6, 0.8], [100, 100, 1, 0.98]]

@@ -134,7 +134,7 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
         (GRAPH + "    PARAMETERS = ('x',)", "g.py: PARAMETERS: needs tuple[Parameter, ...], got"),
         (GRAPH + "    UNSUED = ('x',)", "g.py: unknown name UNSUED (did you mean 'UNUSED'?)"),
         (GRAPH.replace("HIDDEN", "HIDEN"), "g.py: unknown name HIDEN (did you mean 'HIDDEN'?)"),
-        (GRAPH.replace('("Lane",)', '"Lane"', 1), "g.py: HIDDEN: needs tuple[str, ...] | None, got"),
+        (GRAPH.replace('("Lane",)', '"Lane"', 1), "g.py: HIDDEN: needs tuple[str, ...] | None"),
         (GRAPH.replace("(n_lanes, parameters)", "(n_lanes)"), "g.py: build: needs a function of ("),
         (GRAPH + "    tables = 3", "g.py: tables: needs a function of (n_lanes, parameters)"),
     ],

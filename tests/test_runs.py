@@ -8,10 +8,10 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from egolane_pgm.studies.graph_file import graph_named
 
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import as_graph
 from egolane_pgm.result import load_result
 from egolane_pgm.runs import numbers, open_input, read_runs, run_table, table_inputs
 from egolane_pgm.types import InputError
@@ -55,13 +55,13 @@ def test_a_graph_is_named_whatever_it_is(tmp_path: Path, monkeypatch: pytest.Mon
         (own, f"{tmp_path}/mine.py"),
         (Path("mine.py"), f"{tmp_path}/mine.py"),
     ):
-        assert graph_named(given, simulated()) == name
+        assert as_graph(given, simulated()) == name
     for graph, said in (
-        (3, "graph: int is no name, file or module, and no network of pgmpy"),
+        (3, "graph: int is not a name, file, module, network or model"),
         (ModuleType("mine"), "graph: the module mine has no file; write it to one"),
     ):
         with pytest.raises(InputError, match=said):
-            graph_named(graph, simulated())
+            as_graph(graph, simulated())
 
 
 # --- rows ----------------------------------------------------------------------------------------

@@ -4,11 +4,11 @@ Vehicles Symposium 2008): ridges from above, RANSAC lines and Bezier splines.
 What differs from the paper and its public configuration:
 
 - The view is a region of the road in metres (theirs: of the picture, in pixels), so that it suits
-  any calibrated camera. Pictures are first made smaller until their focal length is twice that of
-  their camera, so that lengths in pixels keep their meaning.
-- Their tracker is not public. Ours takes its place (`simple.tracking`) with what the configuration
-  says of theirs: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame (the
-  0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
+  any calibrated camera. Pictures are first made smaller until their focal length is twice the
+  one of their camera, so that lengths in pixels keep their meaning.
+- Their tracker is not public. Ours takes its place (`simple.tracking`), with the values of
+  their configuration: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame
+  (the 0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
   frames without detection; and one that is seen in five of ten frames stays valid.
 - A spline becomes a line on the road by least squares; its painted share decides whether it is
   dashed, as for the simple detectors (`simple.paint`).
@@ -76,7 +76,7 @@ class Found:
 
 
 def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
-    """Makes the function that finds the lines in a picture (H, W, 3), blue green red."""
+    """Make the function that finds the lines in a picture (H, W, 3), blue green red."""
     small = smaller(camera)
     view = view_for(small, parameters)
     find_splines = spline_finder(parameters)
@@ -90,7 +90,8 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
         splines = find_splines(ridges(view, look(view, red), parameters))
         n = int(number(parameters, "lines"))
         grey = red.astype(np.float64)
-        shape, ends = [], []
+        shape = []
+        ends = []
         for point in points_on(splines.control[:n]):
             x = view.x_m[0] - point[:, 1] * view.along_m
             y = view.y_m[0] + point[:, 0] * view.across_m
@@ -98,7 +99,8 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
             x, y = image_to_road(small, *refined(grey, small, seen).T)
             shape.append(shape_of(x, y))
             ends.append((x.min(), x.max()))
-        shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)
+        shapes = np.array(shape).reshape(-1, 4)
+        end = np.array(ends).reshape(-1, 2)
         order = np.argsort(shapes[:, 0], kind="stable")
         return Found(shapes[order], splines.score[:n][order], *end[order].T)
 
@@ -106,7 +108,7 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Starts a drive: the step takes its pictures in order and gives at most four lines.
+    """Start a drive: the step takes its pictures in order and gives at most four lines.
 
     Raises InputError if the camera does not see the region that the parameters ask for.
     """
@@ -130,5 +132,6 @@ def start(camera: Camera, parameters: Parameters) -> Step:
 def nearest(lines: FrameLines, count: int) -> FrameLines:
     """The `count` lines nearest to the car, valid ones before others."""
     order = np.sort(np.lexsort((np.abs(lines.offset_m), ~lines.is_valid))[:count])
-    shape, lri = lines.shape[order], lines.lri[order]
+    shape = lines.shape[order]
+    lri = lines.lri[order]
     return FrameLines(shape, lines.is_valid[order], lines.is_continuous[order], lri)

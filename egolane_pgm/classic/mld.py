@@ -4,12 +4,12 @@ driving environments using conditional random fields*, IEEE Intelligent Vehicles
 Written from a description of the published program and its constants. What differs: widths of
 markings and the rows that are searched follow from the camera, constants in pixels are scaled by
 the picture's width (1280) or by the rows searched (454); the gaps between lines are metres; only a
-common motion sideways and a common turn are taken over from clear lines to the others; a line is
-clear by itself from 120 markings on, not from 60; and each link of the CRF is merged by its own
+common motion sideways and a common turn are taken over from clear lines to the others; a line
+needs 120 markings to be clear, not 60; and each link of the CRF is merged by its own
 label (see `multilane.crf`).
 
 MLD does not distinguish continuous from dashed lines. A line is a parabola in the picture, as
-published, which is no parabola on the road: in a bend, it is too straight beyond 20 m ahead, and
+published, but not on the road: in a bend, it is too straight beyond 20 m ahead, and
 its curvature is too small.
 """
 
@@ -58,8 +58,11 @@ PARAMETERS = not_searched(
     )
 )
 
-#: How far ahead lines are searched, and the width of the narrowest marking, metres.
-_REACH_M, _NARROWEST_M = 55.0, 0.078
+#: Distance ahead up to which lines are searched, metres.
+_REACH_M = 55.0
+
+#: Width of the narrowest marking, metres.
+_NARROWEST_M = 0.078
 
 #: A line starts only where its markings fill this share of its rows (the authors': .382; dashes of
 #: a motorway fill less).
@@ -69,19 +72,25 @@ _FILLED = 0.1
 #: on in turn, as published.
 _EXACT_UP_TO = 10
 
-#: A line starts from a curve that covers at least this many rows and has, on the road, at most this
-#: heading, m/m, and curvature, 1/m.
-_ROWS, _HEADING, _CURVATURE = 50, 0.15, 0.01
+#: A line starts from a curve that covers at least this number of rows.
+_ROWS = 50
+
+#: Largest heading on the road of a line's first curve, m/m.
+_HEADING = 0.15
+
+#: Largest curvature on the road of a line's first curve, 1/m.
+_CURVATURE = 0.01
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Starts a drive: the step takes its pictures in order and gives lines.
+    """Start a drive: the step takes its pictures in order and gives lines.
 
     Raises InputError if the camera sees too little of the road.
     """
     road = road_of(camera, _REACH_M, _NARROWEST_M, number(parameters, "widest_m"))
     most = int(number(parameters, "lines"))
-    rng, slots = np.random.default_rng(0), no_slots()
+    rng = np.random.default_rng(0)
+    slots = no_slots()
 
     def step(picture: Picture) -> FrameLines:
         nonlocal slots
@@ -116,9 +125,10 @@ def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
 
 
 def lines_of(slots: Slots, road: Road, shown_above: float) -> FrameLines:
-    """The lines of a frame, left to right, as the detector gives them."""
+    """Return the output of the detector for a frame, lines from left to right."""
     slot = np.flatnonzero(slots.is_used)
-    shape, counter = shapes_of(road, slots.curve[slot]), slots.counter[slot]
+    shape = shapes_of(road, slots.curve[slot])
+    counter = slots.counter[slot]
     is_valid = counter > shown_above
     order = np.argsort(shape[:, 0], kind="stable")
     return FrameLines(

@@ -52,16 +52,19 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 
     parameters: checked values of PARAMETERS.
     """
-    tentative, wor = count_lines(
+    tentative = np.zeros((len(log), n_lanes))
+    wor = np.empty((len(log), 2))
+    count_lines(
         log.offset_m,
         log.is_valid,
         log.is_continuous,
         log.lri,
-        n_lanes,
         number(parameters, "lane_width_m"),
         number(parameters, "bonus_value"),
         number(parameters, "tentative_noise"),
         number(parameters, "max_lri"),
+        tentative,
+        wor,
     )
     return Evidence({"DetectorOutput": tentative, "WOR": wor})
 
@@ -72,15 +75,16 @@ def count_lines(
     is_valid: BoolArray,
     is_continuous: BoolArray,
     lri: FloatArray,
-    n_lanes: int,
     lane_width_m: float,
     bonus_value: float,
     tentative_noise: float,
     max_lri: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the tentative vector (T, n) and WOR (T, 2) of the lines, (T, L) each."""
-    tentative = np.zeros((len(offset_m), n_lanes))
-    wor = np.empty((len(offset_m), 2))
+    tentative: FloatArray,
+    wor: FloatArray,
+) -> None:
+    """Add the votes of the lines, (T, L) each, to `tentative` (T, n) and normalise it; fill `wor`
+    (T, 2)."""
+    n_lanes = tentative.shape[1]
     for t in range(offset_m.shape[0]):
         reliability = 0.0
         total = 0.0
@@ -119,4 +123,3 @@ def count_lines(
             s = 1.0 - WOR_NOISE
         wor[t, 0] = s
         wor[t, 1] = 1.0 - s
-    return tentative, wor

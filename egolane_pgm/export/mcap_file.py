@@ -34,7 +34,7 @@ from egolane_pgm.vision.camera.pictures import images_of
 from egolane_pgm.vision.camera.writing import as_jpeg
 from egolane_pgm.vision.detectors.pictures import pictures_of
 
-with needed("an .mcap file", "export"):
+with needed("an .mcap file", "mcap"):
     from mcap.writer import Writer
 
 Content = dict[str, Any]
@@ -45,11 +45,20 @@ Message = tuple[int, str, Content]
 #: Nodes with more values (the cells of RoadPosition) are left out: each value is a curve.
 MOST_VALUES = 16
 
-#: How far ahead the lines of the bird's-eye view reach, and their width, metres.
-AHEAD_M, WIDTH_M = 40.0, 0.15
+#: Distance ahead up to which the lines of the bird's-eye view reach, metres.
+AHEAD_M = 40.0
 
-#: The bars of the posterior: position behind the camera, distance and greatest height, metres.
-BARS_M, BAR_GAP_M, BAR_HEIGHT_M = -8.0, 2.0, 6.0
+#: Width of the lines of the bird's-eye view, metres.
+WIDTH_M = 0.15
+
+#: Position of the bars of the posterior, metres: behind the camera.
+BARS_M = -8.0
+
+#: Distance of two bars, metres.
+BAR_GAP_M = 2.0
+
+#: Height of a bar of probability 1, metres.
+BAR_HEIGHT_M = 6.0
 
 #: Pictures are not higher, pixels.
 PICTURE_HEIGHT = 540
@@ -59,9 +68,26 @@ SCHEMAS = {"/birdseye": "foxglove.SceneUpdate", "/picture": "foxglove.Compressed
 
 Triple = tuple[float, float, float]
 
-# Okabe and Ito's colours, red green blue.
-CONTINUOUS, DASHED, NOT_VALID = (0.0, 0.45, 0.7), (0.9, 0.62, 0.0), (0.59, 0.59, 0.59)
-ASSIGNED, OTHER, TRUTH, CAR = CONTINUOUS, (0.74, 0.84, 0.93), (0.84, 0.37, 0.0), (0.47, 0.47, 0.47)
+#: Okabe and Ito's colours, red green blue, of a valid continuous line, ...
+CONTINUOUS = (0.0, 0.45, 0.7)
+
+#: ... a valid dashed line ...
+DASHED = (0.9, 0.62, 0.0)
+
+#: ... and a line that is not valid.
+NOT_VALID = (0.59, 0.59, 0.59)
+
+#: Bar of the assigned lane.
+ASSIGNED = CONTINUOUS
+
+#: Bars of the other lanes.
+OTHER = (0.74, 0.84, 0.93)
+
+#: Marker of the true lane.
+TRUTH = (0.84, 0.37, 0.0)
+
+#: The car.
+CAR = (0.47, 0.47, 0.47)
 
 
 def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
@@ -76,7 +102,7 @@ def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None
     # Seconds since 1970 in a float are exact to a microsecond.
     time_ns = (shown["time_s"] * 1e6).round().astype(np.int64).to_numpy() * 1000
     if not result.lines:
-        warnings.warn(f"{result.name}: has no lines; shown without them", stacklevel=2)
+        warnings.warn(f"{result.name}: has no lines; the file shows the rest", stacklevel=2)
     topics = [
         _frame_messages(result, shown),
         _line_messages(_lines_of(result), shown, time_ns),
@@ -162,8 +188,10 @@ def _line_messages(
 
     A recording has the offsets of lines only, so the scene has them straight ahead.
     """
-    posterior, answer = lanes_of(frames), frames["assigned_lane"].to_numpy()
-    truth, n = frames["true_lane"].fillna(0).to_numpy(int), posterior.shape[1]
+    posterior = lanes_of(frames)
+    answer = frames["assigned_lane"].to_numpy()
+    truth = frames["true_lane"].fillna(0).to_numpy(int)
+    n = posterior.shape[1]
     for row, (frame_id, now) in enumerate(zip(frames.index, time_ns.tolist(), strict=True)):
         if frame_id in lines:
             yield row, "/lines", {"frame_id": int(frame_id), "lines": lines[frame_id]}
@@ -177,7 +205,8 @@ def _line_messages(
         ]
         cubes = [_cube((-2.25, 0.0, 0.7), (4.5, 1.8, 1.4), CAR)]
         for lane, p in enumerate(posterior[row].tolist(), start=1):
-            left, high = ((n + 1) / 2 - lane) * BAR_GAP_M, max(p * BAR_HEIGHT_M, 0.02)
+            left = ((n + 1) / 2 - lane) * BAR_GAP_M
+            high = max(p * BAR_HEIGHT_M, 0.02)
             colour = ASSIGNED if lane == answer[row] else OTHER
             cubes.append(_cube((BARS_M, left, high / 2), (0.8, 1.6, high), colour))
             if lane == truth[row]:
@@ -195,7 +224,7 @@ def _picture_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -
     except InputError as error:
         warnings.warn(f"shown without pictures: {error}", stacklevel=2)
         return
-    for frame_id, _, image in images_of(source, (int(ids[0]), int(ids[-1]) + 1)):
+    for frame_id, _, (image,) in images_of((source,), (int(ids[0]), int(ids[-1]) + 1)):
         if frame_id in ids:
             row = int(ids.get_loc(frame_id))
             content: Content = {"timestamp": _time(int(time_ns[row])), "frame_id": "camera"}

@@ -37,8 +37,10 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
     camera = camera_of_pictures(camera, left)
     start = 0 if experiment.recording.frames is None else experiment.recording.frames[0]
     pictures = read_pictures(left, camera, right, (start, int(shown.index[-1]) + 1))
-    posterior, places = lanes_of(shown), layout(camera)
-    time_s, answer = shown["time_s"].tolist(), shown["assigned_lane"].tolist()
+    posterior = lanes_of(shown)
+    places = layout(camera)
+    time_s = shown["time_s"].tolist()
+    answer = shown["assigned_lane"].tolist()
     truth = shown["true_lane"].fillna(0).tolist()
     with (
         bar(desc=detector.name, unit="frame", total=len(shown)) as progress,

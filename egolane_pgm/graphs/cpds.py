@@ -266,7 +266,8 @@ def check_tables(tables: Iterable[Table]) -> None:
     parents: dict[SliceNode, tuple[SliceNode, ...]] = {}
     size: dict[str, int] = {}
     for table in tables:
-        name, n_values = table.node[0], table.values.shape[-1]
+        name = table.node[0]
+        n_values = table.values.shape[-1]
         if table.node in parents:
             raise InputError(f"{spell(table.node)}: there are two tables for it")
         if size.setdefault(name, n_values) != n_values:
@@ -297,7 +298,8 @@ def check_tables(tables: Iterable[Table]) -> None:
         cycle = " -> ".join(name for name, _ in error.args[1])
         raise InputError(f"the edges within a slice form a cycle: {cycle}") from None
     for node in sorted(parents):
-        s, other = node[1], (node[0], 1 - node[1])
+        s = node[1]
+        other = (node[0], 1 - node[1])
         for name, at in sorted(parents[node]):
             if at == s and (name, 1 - s) not in parents.get(other, ()):
                 raise InputError(

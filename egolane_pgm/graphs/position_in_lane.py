@@ -119,10 +119,9 @@ _JUMP = 1e-5
 #: The largest move of RoadPosition in one frame, lanes.
 _BAND = 0.5
 
-#: How far inside of its start a move ends that would leave the road, lanes. Such a move has to lose
-#: as much as a move across a line inside the road, which ends where the lines contradict it; else
-#: every frame without a lane change is evidence of the outer lanes. So it ends where the lines
-#: contradict it, wherever the car is in its lane, and without lines mostly in its own lane.
+#: How far inside of its start a move ends that would leave the road, lanes. There the lines
+#: contradict it, as they contradict a move across a line inside the road. If it lost less, every
+#: frame without a lane change would be evidence of the outer lanes.
 _BACK = 2 / 3
 
 #: The largest standard deviation that is used, in cells. A wider normal is as flat over the band,
@@ -163,7 +162,8 @@ def _index_motion(
     index: IntArray,
 ) -> None:
     """Fills index (T,); see `motion_index`."""
-    middle, most = len(COASTING) // 2, COASTING[-1]
+    middle = len(COASTING) // 2
+    most = COASTING[-1]
     for t in range(len(index)):
         if steps[t] == 1:
             moved = displacement[t] if abs(displacement[t]) < reach else velocity[t]
@@ -180,7 +180,8 @@ def _index_motion(
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """RoadPosition moves with LineMotion, SensorState persists, and Lane is the cell's lane."""
     cells = int(number(parameters, "cells"))
-    n_positions, n_values = n_lanes * cells, motion_values(parameters)
+    n_positions = n_lanes * cells
+    n_values = motion_values(parameters)
     sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
     lane = np.repeat(np.eye(n_lanes), cells, axis=0)
     motion = uniform(n_values)
@@ -242,7 +243,9 @@ def moved(
 
 def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
     """The transition over a gap of each of `STEPS`, of lines that had a velocity before it."""
-    over, passed, found = transition(velocity), 1, []
+    over = transition(velocity)
+    passed = 1
+    found = []
     for steps in STEPS:
         left = float(np.mean(KEPT_VELOCITY ** np.arange(passed, steps)))
         over = over @ _power(transition(velocity * left), steps - passed)

@@ -17,25 +17,29 @@ likelihood of the states with these values.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, declare, ve_name
 from egolane_pgm.graphs.from_pgmpy import read_network
-from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
+from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
-#: The nodes whose values are lanes, or numbers of lanes.
-LANES = ("Lane", "DetectorOutput", "Lanes")
+P = ParamSpec("P")
+R = TypeVar("R")
+
+#: The nodes whose values are lanes.
+LANES = ("Lane", "DetectorOutput")
 
 #: More joint states than this are refused.
 MAX_STATES = 4096
@@ -128,6 +132,44 @@ class Compiled:
         return declare(self.tables.values(), self.observed, self.values)
 
 
+def compiled_of(given: Any, evidence: Evidence | None = None) -> Compiled:
+    """Return the arrays of anything with a model (a result, a study, ...), or of a pgmpy network.
+
+    - evidence: a network observes its nodes; without it those with a virtual-evidence child, or
+      else all without children.
+
+    Raises InputError for anything else.
+    """
+    found = getattr(given, "model", given)
+    found = getattr(found, "compiled", found)
+    if isinstance(found, Compiled):
+        return found
+    if not hasattr(found, "get_cpds"):
+        kind = type(given).__name__
+        raise InputError(f"{kind} is not a model: give a result, a study, a model or a network")
+    if evidence is not None:
+        return compile(found, observed=[*evidence.likelihoods], inputs=[*evidence.inputs])
+    tables = read_network(found).tables
+    names = dict.fromkeys(name for name, _ in tables)
+    parents = {name for table in tables.values() for name, _ in table.parents}
+    seen = [name for name in names if ve_name(name) in names]
+    leaves = [name for name in names if name not in {*parents, "Lane"}]
+    return compile(found, observed=seen or leaves)
+
+
+def takes_any_model(
+    function: Callable[Concatenate[Compiled, P], R],
+) -> Callable[Concatenate[Any, P], R]:
+    """Let a function of a compiled network take anything that `compiled_of` takes."""
+
+    @functools.wraps(function)
+    def called(model: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        given = (each for each in (*args, *kwargs.values()) if isinstance(each, Evidence))
+        return function(compiled_of(model, next(given, None)), *args, **kwargs)
+
+    return called
+
+
 def compile(
     network: Any,
     *,
@@ -178,7 +220,8 @@ def compile(
         others = {*inputs, *map(ve_name, observed), *chain.from_iterable(names_of.values())}
         nodes = dict.fromkeys(name for name, _ in declared.tables)
         hidden = [name for name in nodes if name == "Lane" or name not in others]
-    ve, tables = {ve_name(key): names for key, names in names_of.items()}, []
+    ve = {ve_name(key): names for key, names in names_of.items()}
+    tables = []
     for (name, s), table in declared.tables.items():
         if name not in ve:
             tables.append(table)
@@ -232,7 +275,8 @@ def compile_tables(
         raise InputError(
             f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
         )
-    n_states, n_inputs = math.prod(size[n] for n in state), math.prod(size[n] for n in inputs)
+    n_states = math.prod(size[n] for n in state)
+    n_inputs = math.prod(size[n] for n in inputs)
     if n_states > MAX_STATES:
         product = " x ".join(f"{n} {size[n]}" for n in state)
         raise InputError(
@@ -245,7 +289,9 @@ def compile_tables(
         table = aligned[name, 1]
         value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
         node_value[name] = np.broadcast_to(value, n_states)
-    parts, end, indicator = {}, 0, []
+    parts = {}
+    end = 0
+    indicator = []
     for name in sorted(hidden, key=lambda name: state.index(name) if name in state else len(state)):
         parts[name] = slice(end, end := end + size[name])
         indicator.append(node_value[name][:, None] == np.arange(size[name]))
@@ -326,7 +372,8 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
         if table.node not in now:
             continue  # a virtual-evidence node
-        old, now[table.node] = now[table.node], table
+        old = now[table.node]
+        now[table.node] = table
         n_values = old.values.shape[-1]
         if set(table.parents) != set(old.parents) or table.values.shape[-1] != n_values:
             raise InputError(f"{name}: the table has other parents or values than before")

@@ -173,9 +173,17 @@ def next_events(
     """
     offset = np.full(len(lane), np.nan) if lateral_offset is None else lateral_offset
     # A frame has two changes at most.
-    whole, real = np.empty((5, 2 * len(lane)), dtype=np.int64), np.empty((2, 2 * len(lane)))
+    whole = np.empty((5, 2 * len(lane)), dtype=np.int64)
+    real = np.empty((2, 2 * len(lane)))
     lane = np.ascontiguousarray(lane)
-    state, n_events = _search(so_far, lane, frame_id, time_s, offset, whole, real)
+    # The search changes the arrays of the state; before the first frame they are empty.
+    more = np.zeros(lane.shape[1] - len(so_far.ahead), dtype=np.int64)
+    begin = so_far._replace(
+        ahead=np.concatenate([so_far.ahead, more.astype(bool)]),
+        since_id=np.concatenate([so_far.since_id, more]),
+        since_s=np.concatenate([so_far.since_s, more]),
+    )
+    state, n_events = _search(begin, lane, frame_id, time_s, offset, whole, real)
     rows, began_id, from_lane, to_lane, direction = whole[:, :n_events].copy()
     began_s, probability = real[:, :n_events].copy()
     events = {
@@ -206,14 +214,16 @@ def _search(
     whole (5, E), real (2, E): output: of each change the row, the frame id of its begin, the lanes
         from and to (from 1) and the direction; the time of its begin and the probability.
     """
-    here, before, calm, _, _, _, beyond, lost, begun = so_far
-    n_lanes, n_events = lane.shape[1], 0
-    ahead, since_id = np.zeros(n_lanes, dtype=np.bool_), np.zeros(n_lanes, dtype=np.int64)
-    since_s, n_before = np.zeros(n_lanes), len(so_far.ahead)
-    ahead[:n_before], since_id[:n_before] = so_far.ahead, so_far.since_id
-    since_s[:n_before] = so_far.since_s
+    here, before, calm, ahead, since_id, since_s, beyond, lost, begun = so_far
+    n_lanes = lane.shape[1]
+    n_events = 0
     for t in range(len(lane)):
-        now, k = time_s[t], int(lane[t].argmax())
+        now = time_s[t]
+        n_before = n_events
+        k = 0
+        for other in range(1, n_lanes):
+            if lane[t, other] > lane[t, k]:
+                k = other
         moved = (offset[t] - beyond + 0.5) % 1 - 0.5
         if not np.isnan(moved):
             beyond += moved
@@ -227,13 +237,14 @@ def _search(
             if here < 0:
                 begun = now
             elif is_near or now < lost + FLICKER_S:
-                began_id, began_s = (since_id[k], since_s[k]) if ahead[k] else (frame_id[t], now)
-                whole[:, n_events] = t, began_id, here + 1, k + 1, side
-                real[:, n_events] = began_s, p
+                began_id = since_id[k] if ahead[k] else frame_id[t]
+                began_s = since_s[k] if ahead[k] else now
+                _write_event(whole, n_events, t, began_id, here, k, side)
+                real[0, n_events] = began_s
+                real[1, n_events] = p
                 n_events += 1
-                # The lane that was left leads from now on, if at all.
-                ahead[:] = False
-                before, calm = here, now + FLICKER_S
+                before = here
+                calm = now + FLICKER_S
                 beyond -= side if is_near else round(beyond)
             here = k
         if abs(beyond) > 0.5 + BEYOND:
@@ -245,19 +256,39 @@ def _search(
                     before = k - side
                 else:
                     # Index -1 becomes UNASSIGNED.
-                    here, before, k, p = -1, -1, -1, np.nan
-                whole[:, n_events] = t, frame_id[t], before + 1, k + 1, side
-                real[:, n_events] = now, p
+                    here = -1
+                    before = -1
+                    k = -1
+                    p = np.nan
+                _write_event(whole, n_events, t, frame_id[t], before, k, side)
+                real[0, n_events] = now
+                real[1, n_events] = p
                 n_events += 1
-                ahead[:] = False
+        if n_events > n_before:
+            # A lane that was left leads from now on, if at all.
+            for other in range(n_lanes):
+                ahead[other] = False
         if here >= 0:
             for other in range(n_lanes):
                 leads = lane[t, other] > lane[t, here]
                 if leads and not ahead[other]:
-                    since_id[other], since_s[other] = frame_id[t], now
+                    since_id[other] = frame_id[t]
+                    since_s[other] = now
                 ahead[other] = leads
     state = EventState(here, before, calm, ahead, since_id, since_s, beyond, lost, begun)
     return state, n_events
+
+
+@kernel(no_cpython_wrapper=True)
+def _write_event(
+    whole: IntArray, e: int, row: int, began_id: int, from_lane: int, to_lane: int, side: int
+) -> None:
+    """Fill column e of the output of `_search`; the lanes are indices."""
+    whole[0, e] = row
+    whole[1, e] = began_id
+    whole[2, e] = from_lane + 1
+    whole[3, e] = to_lane + 1
+    whole[4, e] = side
 
 
 def lane_segments(
@@ -278,10 +309,15 @@ def lane_segments(
         return []
     lanes = lane[held].argmax(axis=1) + 1
     changes = events[["time_s", "to_lane", "detected_time_s"]].values.tolist()
-    marks, here, calm, e = dict[float, int](), UNASSIGNED, -np.inf, 0
+    marks = dict[float, int]()
+    here = UNASSIGNED
+    calm = -np.inf
+    e = 0
     for at, k in [*zip(time_s[held].tolist(), lanes.tolist(), strict=True), (np.inf, 0)]:
         while e < len(changes) and changes[e][0] <= at:
-            began, here, now = changes[e][0], int(changes[e][1]), changes[e][2]
+            began = changes[e][0]
+            here = int(changes[e][1])
+            now = changes[e][2]
             marks[began] = here
             calm = now + FLICKER_S if here else -np.inf
             e += 1
@@ -310,7 +346,8 @@ def across_lanes(
     The lateral offset from the lane centre is in lane widths, positive to the right, -.5 to .5: the
     circular mean of RoadPosition over all lanes, NaN if it is not DEFINITE.
     """
-    lane, position = marginals["Lane"], marginals.get("RoadPosition")
+    lane = marginals["Lane"]
+    position = marginals.get("RoadPosition")
     n_frames, n_lanes = lane.shape
     if position is None or position.shape[1] % n_lanes:
         return None, by_lines

@@ -14,7 +14,7 @@ from functools import reduce
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference.compile import Compiled, Group
+from egolane_pgm.inference.compile import Compiled, Group, takes_any_model
 from egolane_pgm.inference.filtering import (
     evidence_blocks,
     first_frames,
@@ -65,7 +65,8 @@ def free_parameters(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode
     Tables of the first frame alone do not count: one frame of a sequence informs them, and the
     logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).
     """
-    bases, total = set(bases), 0
+    bases = set(bases)
+    total = 0
     for node in (node for node in tables if node[1] == 1):
         # Repetition adds to one value of each row only.
         values = tables[node].values.min(axis=-2) if node in bases else tables[node].values
@@ -73,6 +74,7 @@ def free_parameters(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode
     return total
 
 
+@takes_any_model
 def expected_counts(
     compiled: Compiled,
     evidence: Evidence,
@@ -97,17 +99,19 @@ def expected_counts(
     299
     """
     index = joint_input(compiled, evidence)
-    n_frames, n_states = len(evidence), compiled.n_states
-    likelihood = state_likelihood(compiled, evidence)
+    n_frames = len(evidence)
+    n_states = compiled.n_states
+    likelihood, log_scale = state_likelihood(compiled, evidence)
     for node, value in (known or {}).items():
         if node not in compiled.hidden:
             meant = suggestion(node, compiled.hidden)
             raise InputError(f"known values of {node}, which is no hidden node{meant}")
         likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
     begins = first_frames(n_frames, is_first)
-    filtered, log_evidence, is_impossible = forward(compiled, likelihood, index, begins)
+    filtered, log_evidence, is_impossible = forward(compiled, likelihood, log_scale, index, begins)
     likelihood[is_impossible] = 1.0
-    smoothed, moves = np.empty((n_frames, n_states)), np.zeros((n_states, n_states))
+    smoothed = np.empty((n_frames, n_states))
+    moves = np.zeros((n_states, n_states))
     smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)
     array_of: dict[str | int, FloatArray] = {
         "prior": smoothed[begins].sum(axis=0)[None],

@@ -10,18 +10,20 @@ do: each marginal is propagated by its table.
 
 Each posterior is normalised, so the length of a drive does not matter. A probability that is 300
 decades smaller than another one of its frame is zero, and so is a frame's likelihood below
-2.2e-308.
+2.2e-308. Evidence of several groups is scaled first, so that this concerns each group alone and not
+their product.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.kernels.banded import MIN_STATES, Band, find_band, forward_banded
 from egolane_pgm.inference.kernels.filter import forward_kernel, multiply_likelihood
 from egolane_pgm.types import (
@@ -42,10 +44,16 @@ METHODS = ("assumed_density", "exact")
 MAX_FIXED_STATES = 16
 MIN_FIXED_FRAMES = 1000
 
+#: With several groups, the likelihoods of a group are divided by a power of two in frames whose
+#: largest one has an exponent (of two) farther from 0 than this: the product of ten groups then
+#: neither underflows nor overflows.
+LARGEST_EXPONENT = 100
+
 #: The filter works on chunks of about this many numbers, which fit the processor's cache.
 PIECE = 2**16
 
 
+@takes_any_model
 def filter_beliefs(
     compiled: Compiled,
     evidence: Evidence,
@@ -102,10 +110,11 @@ def step(
     size = max(1, PIECE // compiled.n_states)
     starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
     for piece in map(slice, starts, starts[1:]):
-        likelihood = state_likelihood(compiled, evidence, piece)
+        likelihood, log_scale = state_likelihood(compiled, evidence, piece)
         beliefs, log_evidence, is_impossible = forward(
-            compiled, likelihood, index[piece], begins[piece], joint, is_factored, out=likelihood
-        )
+            compiled, likelihood, log_scale, index[piece], begins[piece], joint, is_factored,
+            out=likelihood,
+        )  # fmt: skip
         rows = beliefs @ compiled.indicator
         marginals = {name: rows[:, columns] for name, columns in compiled.parts.items()}
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))
@@ -164,7 +173,8 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
         if values.shape != needs:
             raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {needs}")
     for name in compiled.inputs:
-        index, size = evidence.inputs[name], compiled.cardinality[name]
+        index = evidence.inputs[name]
+        size = compiled.cardinality[name]
         if len(index) and not 0 <= index.min() <= index.max() < size:
             raise InputError(f"input {name}: outside 0..{size - 1}")
         joint = joint * size + index
@@ -185,21 +195,34 @@ def evidence_blocks(
 
 def state_likelihood(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
-) -> FloatArray:
-    """Return P(evidence of the frame | joint state), (T, S), of some frames."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return P(evidence of the frame | joint state) of some frames, divided by a scale.
+
+    Returns the likelihoods (T, S) and the natural logarithm of the scale (T,), which is 0 in
+    ordinary frames.
+    """
     blocks = evidence_blocks(compiled, evidence, frames)
     likelihood = np.ones((len(blocks[0]), compiled.n_states))
+    log_scale = np.zeros(len(likelihood))
     for block, group in zip(blocks, compiled.groups, strict=True):
+        if len(blocks) > 1:
+            exponent = np.frexp(reduce(np.maximum, block.T))[1]
+            exponent[np.abs(exponent) <= LARGEST_EXPONENT] = 0
+            if exponent.any():
+                # A power of two changes no digit.
+                block = np.ldexp(block, -exponent[:, None])
+                log_scale += exponent * math.log(2)
         if group.only is not None:
             likelihood *= block[:, group.only]
         else:
             multiply_likelihood(block, np.ascontiguousarray(group.emission.T), likelihood)
-    return likelihood
+    return likelihood, log_scale
 
 
 def forward(
     compiled: Compiled,
     likelihood: FloatArray,
+    log_scale: FloatArray,
     index: IntArray,
     begins: BoolArray,
     joint: FloatArray | None = None,
@@ -208,7 +231,7 @@ def forward(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Run the forward recursion.
 
-    - likelihood (T, S): from `state_likelihood`.
+    - likelihood (T, S), log_scale (T,): from `state_likelihood`.
     - index (T,): the joint value of the inputs.
     - begins (T,): True in the first frame of each sequence.
     - joint (S,): the belief before the first frame, overwritten by the belief after the last one;
@@ -224,19 +247,23 @@ def forward(
     if joint is None:
         joint = np.zeros(n_states)
     beliefs = np.empty((n_frames, n_states)) if out is None else out
-    total, is_impossible = np.empty(n_frames), np.empty(n_frames, dtype=bool)
+    total = np.empty(n_frames)
+    is_impossible = np.empty(n_frames, dtype=bool)
     run: Any
     transition: Band | FloatArray
     band = find_band(compiled) if n_states >= MIN_STATES else None
     # The banded recursion takes the product of at most two marginals.
     if band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
-        run, transition = forward_banded, band
+        run = forward_banded
+        transition = band
     else:
         is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
         columns = tuple(map(tuple, compiled.column.tolist())) if is_fixed else ()
-        run, transition = forward_kernel(columns), compiled.transition
+        run = forward_kernel(columns)
+        transition = compiled.transition
     run(
         joint, begins, is_factored, compiled.prior, transition, index, likelihood, compiled.column,
         beliefs, total, is_impossible,
     )  # fmt: skip
-    return beliefs, np.log(np.where(is_impossible, 1.0, total)), is_impossible
+    log_evidence = np.log(np.where(is_impossible, 1.0, total)) + log_scale * ~is_impossible
+    return beliefs, log_evidence, is_impossible

@@ -9,34 +9,20 @@ evidence of all frames).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.filtering import joint_input
 from egolane_pgm.inference.kernels.draws import draw_backward, draw_forward
 from egolane_pgm.inference.smoothing import pass_forward
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
-if TYPE_CHECKING:
-    from egolane_pgm.model import Model
-    from egolane_pgm.result import Result
 
-
-def compiled_of(model: Compiled | Model | Result) -> Compiled:
-    """Return the arrays of a model, of a result, or of a network that is compiled already."""
-    found = getattr(model, "model", model)
-    found = getattr(found, "compiled", found)
-    if not isinstance(found, Compiled):
-        kind = type(model).__name__
-        raise InputError(f"model: {kind}: needs a Result, its model, or what `compile` returns")
-    return found
-
-
+@takes_any_model
 def sample(
-    model: Compiled | Model,
+    compiled: Compiled,
     n_frames: int,
     seed: int,
     *,
@@ -60,7 +46,7 @@ def sample(
     >>> len(ego.Evidence.hard(drive[["DetectorOutput", "WOR"]], model.compiled))
     1000
     """
-    compiled, rng = compiled_of(model), np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
     drawn = sampled_states(compiled, n_frames, 1, rng, inputs)[0]
     columns = {name: value[drawn] for name, value in compiled.node_value.items()}
     for group in compiled.groups:
@@ -71,8 +57,22 @@ def sample(
         columns |= dict(zip(shown, map(np.asarray, values), strict=True))
     for name in compiled.inputs:
         columns[name] = np.asarray((inputs or {})[name])
-    names = compiled.values
-    return pd.DataFrame({k: pd.Categorical.from_codes(v, names[k]) for k, v in columns.items()})
+    return named_values(compiled, columns)
+
+
+def named_values(
+    compiled: Compiled, indices: Mapping[str, IntArray], index: pd.Index | None = None
+) -> pd.DataFrame:
+    """Return a path of states: a row per frame, a categorical column per node with its values.
+
+    - indices: of the values of each node, lanes from 0; of several paths (n, T).
+    - index: of the rows.
+    """
+    columns = {
+        name: pd.Categorical.from_codes(np.ravel(codes), compiled.values[name])
+        for name, codes in indices.items()
+    }
+    return pd.DataFrame(columns, index)
 
 
 def sampled_states(
@@ -89,34 +89,51 @@ def sampled_states(
     given = {name: np.asarray(index) for name, index in (inputs or {}).items()}
     index = joint_input(compiled, Evidence(ones, given))
     paths = np.empty((n, n_frames), dtype=np.int64)
-    prior, transition = compiled.prior.cumsum(axis=-1), compiled.transition.cumsum(axis=-1)
+    prior = compiled.prior.cumsum(axis=-1)
+    transition = compiled.transition.cumsum(axis=-1)
     draw_forward(prior, transition, index, rng.random((n, n_frames)), paths)
     return paths
 
 
+@takes_any_model
 def posterior_paths(
-    model: Compiled | Model,
+    compiled: Compiled,
+    evidence: Evidence,
+    n: int,
+    seed: int,
+    *,
+    is_first: BoolArray | None = None,
+) -> pd.DataFrame:
+    """Draw n paths from the posterior given the evidence of all T frames.
+
+    - is_first (T,): True where a sequence begins; by default the first frame only.
+
+    Returns a row per path and frame, its index, and a column per hidden node with the names of its
+    values, as `sample`. Evidence that the filter flags as impossible is ignored. Raises InputError
+    for evidence that does not fit.
+
+    >>> import egolane_pgm as ego
+    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> paths = ego.posterior_paths(run.model, run.evidence, 1000, seed=0)
+    >>> smoothed = ego.smooth_beliefs(run.model.compiled, run.evidence)
+    >>> share = (paths["Lane"] == "1").groupby("frame").mean()
+    >>> bool(abs(share - smoothed.lane[:, 0]).max() < 0.06)
+    True
+    """
+    paths = drawn_paths(compiled, evidence, n, seed, is_first=is_first)
+    ends = range(n), range(len(evidence))
+    return named_values(compiled, paths, pd.MultiIndex.from_product(ends, names=["path", "frame"]))
+
+
+def drawn_paths(
+    compiled: Compiled,
     evidence: Evidence,
     n: int,
     seed: int,
     *,
     is_first: BoolArray | None = None,
 ) -> dict[str, IntArray]:
-    """Draw n paths from the posterior given the evidence of all T frames.
-
-    - is_first (T,): True where a sequence begins; by default the first frame only.
-
-    Returns for each hidden node the index of its value, (n, T); lanes count from 0. Evidence that
-    the filter flags as impossible is ignored. Raises InputError for evidence that does not fit.
-
-    >>> import egolane_pgm as ego
-    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
-    >>> paths = ego.posterior_paths(run.model, run.evidence, 1000, seed=0)
-    >>> smoothed = ego.smooth_beliefs(run.model.compiled, run.evidence)
-    >>> bool(abs((paths["Lane"] == 0).mean(axis=0) - smoothed.lane[:, 0]).max() < 0.06)
-    True
-    """
-    compiled = compiled_of(model)
+    """Return the index of the value of each hidden node in `posterior_paths`, (n, T)."""
     if n < 1:
         raise InputError(f"posterior_paths: n: {n} is not a positive number")
     passed = pass_forward(compiled, evidence, is_first=is_first)
@@ -128,8 +145,9 @@ def posterior_paths(
     return {name: compiled.node_value[name][paths] for name in compiled.hidden}
 
 
+@takes_any_model
 def predicted(
-    model: Compiled | Model, evidence: Evidence, *, is_first: BoolArray | None = None
+    compiled: Compiled, evidence: Evidence, *, is_first: BoolArray | None = None
 ) -> dict[str, FloatArray]:
     """Return P(observed node | evidence of earlier frames), before the node's own evidence.
 
@@ -143,7 +161,6 @@ def predicted(
     >>> ego.predicted(run.model, run.evidence)["WOR"].shape
     (300, 2)
     """
-    compiled = compiled_of(model)
     passed = pass_forward(compiled, evidence, is_first=is_first)
     before = np.roll(passed.filtered, 1, axis=0)
     states = compiled.prior[passed.input_index]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.filtering import first_frames, forward, joint_input, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, InputError, IntArray
@@ -24,7 +24,8 @@ class Passed(NamedTuple):
     """The results of the exact forward recursion over T frames, which the smoothers take.
 
     filtered (T, S): the joint belief after each frame.
-    likelihood (T, S): of each frame's evidence; one if it is ignored.
+    likelihood (T, S): of each frame's evidence, divided by a scale; one if it is ignored.
+    log_scale (T,): natural logarithm of this scale.
     input_index (T,): the joint value of the inputs.
     begins (T,): True in the first frame.
     log_evidence, is_impossible (T,): as in `Beliefs`.
@@ -32,6 +33,7 @@ class Passed(NamedTuple):
 
     filtered: FloatArray
     likelihood: FloatArray
+    log_scale: FloatArray
     input_index: IntArray
     begins: BoolArray
     log_evidence: FloatArray
@@ -53,14 +55,16 @@ def pass_forward(
     """
     index = joint_input(compiled, evidence)
     begins = first_frames(len(evidence), is_first, starts=before is None)
-    likelihood = state_likelihood(compiled, evidence)
+    likelihood, log_scale = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(
-        compiled, likelihood, index, begins, None if before is None else before.copy()
+        compiled, likelihood, log_scale, index, begins, None if before is None else before.copy()
     )
     likelihood[is_impossible] = 1.0
-    return Passed(filtered, likelihood, index, begins, log_evidence, is_impossible)
+    log_scale[is_impossible] = 0.0
+    return Passed(filtered, likelihood, log_scale, index, begins, log_evidence, is_impossible)
 
 
+@takes_any_model
 def smooth_beliefs(
     compiled: Compiled,
     evidence: Evidence,
@@ -86,6 +90,7 @@ def smooth_beliefs(
     return _beliefs(compiled, passed, _smoothed(compiled, passed), frame_id)
 
 
+@takes_any_model
 def fixed_lag_beliefs(
     compiled: Compiled,
     evidence: Evidence,

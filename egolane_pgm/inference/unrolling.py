@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, flat_network, uniform, ve_name
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.filtering import joint_input, step
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
@@ -28,6 +28,7 @@ class Unrolled(NamedTuple):
     given: dict[str, int | str]
 
 
+@takes_any_model
 def unrolled(
     compiled: Compiled,
     evidence: Evidence,
@@ -62,10 +63,12 @@ def unrolled(
     """
     joint_input(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
-    start, stop = _position(ids, first), _position(ids, last) + 1
+    start = _position(ids, first)
+    stop = _position(ids, last) + 1
     if start >= stop:
         raise InputError(f"frames {first} to {last}: the first one comes after the last")
-    state, tables = None, []
+    state = None
+    tables = []
     if start > 0:
         state, _ = step(compiled, None, evidence.take(slice(0, start)), "exact")
         tables += _past(compiled, state, int(ids[start - 1]))

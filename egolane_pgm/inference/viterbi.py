@@ -9,14 +9,15 @@ If many paths share the probability, the best one may be far from the smoothed b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 
-from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.compile import Compiled, takes_any_model
 from egolane_pgm.inference.kernels.sweeps import best_path
+from egolane_pgm.inference.sampling import named_values
 from egolane_pgm.inference.smoothing import pass_forward
 from egolane_pgm.types import BoolArray, Evidence, IntArray
 
@@ -25,24 +26,24 @@ from egolane_pgm.types import BoolArray, Evidence, IntArray
 class Path:
     """The most probable path of T frames.
 
-    - frame_id (T,).
-    - values: per hidden node the index of its value in each frame (T,); lanes count from 0.
+    - states: a row per frame, by frame id, and a column per hidden node with the names of its
+      values, as `sample`.
     - log_probability: natural logarithm of P(path of the joint state, evidence), each likelihood
       as given.
     - is_impossible (T,): the frame's evidence has joint likelihood zero and was ignored.
     """
 
-    frame_id: IntArray
-    values: Mapping[str, IntArray]
+    states: pd.DataFrame
     log_probability: float
     is_impossible: BoolArray
 
     @property
     def lane(self) -> IntArray:
         """(T,): the lane in each frame, 1 to n."""
-        return self.values["Lane"] + 1
+        return np.asarray(self.states["Lane"].cat.codes, dtype=np.int64) + 1
 
 
+@takes_any_model
 def viterbi(
     compiled: Compiled,
     evidence: Evidence,
@@ -70,14 +71,16 @@ def viterbi(
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     passed = pass_forward(compiled, evidence, is_first=is_first)
     states = np.zeros(len(evidence), dtype=np.int64)
-    total = 0.0
+    total = float(passed.log_scale.sum())
     with np.errstate(divide="ignore"):
         log_likelihood = np.log(passed.likelihood)
-        log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
+        log_prior = np.log(compiled.prior)
+        log_transition = np.log(compiled.transition)
     starts = np.flatnonzero(passed.begins).tolist()
     for first, stop in pairwise([*starts, len(states)]):
         here = slice(first, stop)
         index = passed.input_index[here]
         total += best_path(log_prior, log_transition, log_likelihood[here], index, states[here])
     values = {name: compiled.node_value[name][states] for name in compiled.hidden}
-    return Path(ids, values, total, passed.is_impossible)
+    named = named_values(compiled, values, pd.Index(ids, name="frame_id"))
+    return Path(named, total, passed.is_impossible)

@@ -32,11 +32,11 @@ class Plane:
         )
 
     def metres(self, latitude: Any, longitude: Any) -> FloatArray:
-        """N places in degrees as metres east and north of the centre, (N, 2)."""
+        """Return N places in degrees as metres east and north of the centre, (N, 2)."""
         return np.stack(self._projection(np.asarray(longitude), np.asarray(latitude)), axis=-1)
 
     def degrees(self, metres: FloatArray) -> FloatArray:
-        """N places in metres as latitude and longitude, (N, 2), degrees."""
+        """Return N places in metres as latitude and longitude, (N, 2), degrees."""
         longitude, latitude = self._projection(metres[:, 0], metres[:, 1], inverse=True)
         return np.stack([latitude, longitude], axis=-1)
 
@@ -55,7 +55,7 @@ class LaneGraph:
 
     - way (S,): OpenStreetMap's id of the first way.
     - kind (S,): its tag `highway`, such as "motorway" or "motorway_link".
-    - name (S,): the road's number (tag `ref`) or name, Python strings; "" without one.
+    - name (S,): the road's number (tag `ref`) or name, Python strings; "" if unknown.
     - n_lanes (S,): 0 if unknown.
     - plane: the origin of the metres.
     - point (P, 2): metres east and north, in the direction of travel.
@@ -115,11 +115,12 @@ def assumed_lanes(graph: LaneGraph) -> IntArray:
     """The number of lanes of each segment, (S,), assumed if it is not in the map.
 
     The assumed number comes from the segment of the same kind before (the widest of several), else
-    from the one after, else it is the most frequent one of the kind, by length. 0 stays if no
+    from the segment after, else it is the most frequent one of the kind, by length. 0 stays if no
     segment of the kind has a number.
     """
     along = graph.kind[graph.before] == graph.kind[graph.after]
-    before, after = graph.before[along], graph.after[along]
+    before = graph.before[along]
+    after = graph.after[along]
     n_lanes = graph.n_lanes.copy()
     for here, there in ((before, after), (after, before)):
         is_new = True
@@ -169,13 +170,15 @@ def near(graph: LaneGraph, place: FloatArray, radius_m: float) -> Near:
     point = points(place)
     row, segment = graph.tree.query(point, predicate="dwithin", distance=radius_m)
     order = np.lexsort((segment, row))
-    row, segment = row[order], segment[order].astype(np.int64)
+    row = row[order]
+    segment = segment[order].astype(np.int64)
     line = graph.lines[segment]
     along = line_locate_point(line, point[row])
     # The direction of a metre of the line.
     ends = np.maximum(along - 0.5, 0.0), along + 0.5
     begin, end = (get_coordinates(line_interpolate_point(line, at)) for at in ends)
-    (ux, uy), (vx, vy) = (end - begin).T, (place[row] - begin).T
+    ux, uy = (end - begin).T
+    vx, vy = (place[row] - begin).T
     offset = distance(line, point[row])
     return Near(
         np.searchsorted(row, np.arange(len(place) + 1)).astype(np.int64),

@@ -37,7 +37,8 @@ def locate(graph: LaneGraph, positions: Positions, *, online: bool = False) -> p
     table = matched.iloc[last].reset_index(drop=True).assign(t_s=matched.t_s)
     table["offset_m"] = table.offset_m.where(last == times)
     segment = table.segment.to_numpy()
-    on, is_unknown = segment >= 0, graph.n_lanes[segment] == 0
+    on = segment >= 0
+    is_unknown = graph.n_lanes[segment] == 0
     table["n_lanes"] = np.where(on, assumed_lanes(graph)[segment], 0)
     table["unknown_way"] = np.where(on & is_unknown, graph.way[segment], 0)
     table.attrs["source"] = positions.source

@@ -30,21 +30,30 @@ OFF = -1
 # The constants of the model, chosen by hand.
 #: Standard deviation of a position across the road, including the lane's offset, metres.
 SIGMA_M = 6.0
-#: Scale of the difference between way and straight distance, metres; and its share of the distance,
-#: because curves make long ways longer.
-BETA_M, BETA_SHARE = 6.0, 0.05
+#: Scale of the difference between way and straight distance, metres.
+BETA_M = 6.0
+#: The same as a share of the distance, because curves make long ways longer.
+BETA_SHARE = 0.05
 #: Standard deviation of the direction of travel, radians.
 HEADING_SIGMA = 0.35
-#: Largest distance of a segment, and the distance at which off the map is as likely, metres.
-RADIUS_M, OFF_M = 60.0, 25.0
-#: Probabilities, per position, of leaving the map, of coming back, and of a change to a segment
-#: that cannot be reached.
-LEAVE, COME, JUMP = 1e-3, 0.05, 1e-6
+#: Largest distance of a segment, metres.
+RADIUS_M = 60.0
+#: The distance at which off the map is as likely, metres.
+OFF_M = 25.0
+#: Probability, per position, of leaving the map.
+LEAVE = 1e-3
+#: Probability, per position, of coming back to the map.
+COME = 0.05
+#: Probability, per position, of a change to a segment that cannot be reached.
+JUMP = 1e-6
 #: A position is an outlier above this speed, m/s.
 TOP_SPEED_MPS = 80.0
 
-#: Below this speed, m/s, or this way between two positions, m, headings are ignored.
-_MOVES_MPS, _MOVES_M = 3.0, 8.0
+#: Headings are ignored below this speed, m/s.
+_MOVES_MPS = 3.0
+
+#: Headings are ignored if two positions are nearer to each other, m.
+_MOVES_M = 8.0
 
 #: Probability of a wrong heading.
 _HEADING_WRONG = 0.05
@@ -97,7 +106,8 @@ def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> pd
         found.start, found.segment, found.along_m, place[used], graph.join_start, graph.after,
         graph.length_m, block, transition,
     )  # fmt: skip
-    belief, choice = np.empty(len(emission)), np.empty(len(used), dtype=np.int64)
+    belief = np.empty(len(emission))
+    choice = np.empty(len(used), dtype=np.int64)
     filter_states(first, emission, block, transition, belief)
     if online:
         choice[:] = [belief[a:b].argmax() for a, b in pairwise(first)]
@@ -119,21 +129,26 @@ def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> pd
 def _find_outliers(t_s: FloatArray, place: FloatArray, out: BoolArray) -> None:
     """Fill out (T,): mark positions that cannot be reached from the last inlier, except after
     several in a row that can be reached from each other."""
-    last, agree = 0, 0
+    last = 0
+    agree = 0
     out[:1] = False
     for t in range(1, len(t_s)):
         if _reached(t_s, place, last, t):
-            out[t], agree, last = False, 0, t
+            out[t] = False
+            agree = 0
+            last = t
             continue
         agree = agree + 1 if agree > 0 and _reached(t_s, place, t - 1, t) else 1
         out[t] = agree < _OUTLIERS_AGREE
         if not out[t]:
-            agree, last = 0, t
+            agree = 0
+            last = t
 
 
 @kernel()
 def _reached(t_s: FloatArray, place: FloatArray, a: int, b: int) -> bool:
-    dx, dy = place[b, 0] - place[a, 0], place[b, 1] - place[a, 1]
+    dx = place[b, 0] - place[a, 0]
+    dy = place[b, 1] - place[a, 1]
     # Positions of a standing car scatter, too.
     return bool(np.sqrt(dx * dx + dy * dy) <= 20.0 + TOP_SPEED_MPS * (t_s[b] - t_s[a]))
 
@@ -188,16 +203,22 @@ def _fill_transitions(
 ) -> None:
     """Fill transition: log-probabilities from the states of each time to the states of the next,
     row by row; block[t] is the index of the first one from t - 1 to t."""
-    leave, come, jump = np.log(LEAVE), np.log(COME), np.log(JUMP)
+    leave = np.log(LEAVE)
+    come = np.log(COME)
+    jump = np.log(JUMP)
     reached_in = np.full(len(length), -1, dtype=np.int64)
     way_to = np.empty(len(length))
     is_done = np.empty(len(length), dtype=np.bool_)
     open_ = np.empty(len(length), dtype=np.int64)
     search = 0
     for t in range(1, len(start) - 1):
-        a0, a1, b0, b1 = start[t - 1], start[t], start[t], start[t + 1]
+        a0 = start[t - 1]
+        a1 = start[t]
+        b0 = start[t]
+        b1 = start[t + 1]
         width = b1 - b0 + 1
-        dx, dy = place[t, 0] - place[t - 1, 0], place[t, 1] - place[t - 1, 1]
+        dx = place[t, 0] - place[t - 1, 0]
+        dy = place[t, 1] - place[t - 1, 1]
         straight = np.sqrt(dx * dx + dy * dy)
         scale = BETA_M + BETA_SHARE * straight
         limit = straight + 15.0 * scale
@@ -264,7 +285,8 @@ def filter_states(
 ) -> None:
     """Fill out (M,) with P(state at t | positions up to t)."""
     for t in range(len(first) - 1):
-        here, there = first[t], first[t + 1]
+        here = first[t]
+        there = first[t + 1]
         weight = np.exp(emission[here:there] - emission[here:there].max())
         if t > 0:
             step = transition[block[t] : block[t + 1]].reshape(-1, there - here)
@@ -278,7 +300,9 @@ def smooth_states(
 ) -> None:
     """Turn the posterior of the filter, (M,), into P(state at t | all positions), in place."""
     for t in range(len(first) - 3, -1, -1):
-        here, there, end = first[t], first[t + 1], first[t + 2]
+        here = first[t]
+        there = first[t + 1]
+        end = first[t + 2]
         step = np.exp(transition[block[t + 1] : block[t + 2]].reshape(-1, end - there))
         predicted = belief[here:there] @ step
         ratio = np.where(predicted > 0.0, belief[there:end] / predicted, 0.0)
@@ -295,7 +319,9 @@ def best_path(
     score = emission.copy()
     origin = np.zeros(len(emission), dtype=np.int64)
     for t in range(1, n_times):
-        before, here, there = first[t - 1], first[t], first[t + 1]
+        before = first[t - 1]
+        here = first[t]
+        there = first[t + 1]
         step = transition[block[t] : block[t + 1]].reshape(-1, there - here)
         for b in range(there - here):
             ways = score[before:here] + step[:, b]
@@ -305,40 +331,3 @@ def best_path(
     for t in range(n_times - 1, -1, -1):
         out[t] = state
         state = origin[first[t] + state]
-
-
-# --- the baseline ----------------------------------------------------------------------------
-
-#: Search radii, metres, tried one after the other.
-_LOCK_RADII_M = (20.0, 100.0, 200.0)
-
-#: Standard deviations of the distance, metres, and of the heading, radians.
-_LOCK_SIGMA_M, _LOCK_SIGMA_RAD = 1.0, 0.15
-
-
-def lock_on_road(graph: LaneGraph, positions: Positions) -> pd.DataFrame:
-    """The nearest road of each position, independently, as in the paper (`ira_open_street_map`).
-
-    Segments within 20 m, else 100 m, else 200 m are scored by distance and, if known, heading,
-    normal both. `sure` is the segment's share of the scores of all within the radius.
-    """
-    place = graph.plane.metres(positions.latitude, positions.longitude)
-    heading, _ = headings(positions, place, np.arange(len(place)))
-    matched = _no_match(positions)
-    matched["sure"][:] = 1.0
-    left = np.arange(len(positions))
-    for radius in _LOCK_RADII_M:
-        found = near(graph, place[left], radius)
-        count = np.diff(found.start)
-        turn = found.heading - np.repeat(heading[left], count)
-        turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
-        score = -0.5 * ((found.offset_m / _LOCK_SIGMA_M) ** 2 + (turn / _LOCK_SIGMA_RAD) ** 2)
-        for k in np.flatnonzero(count):
-            rows = slice(found.start[k], found.start[k + 1])
-            share = np.exp(score[rows] - score[rows].max())
-            best, t = int(found.start[k] + score[rows].argmax()), left[k]
-            matched["sure"][t] = 1 / share.sum()
-            for name in ("segment", "along_m", "offset_m"):
-                matched[name][t] = getattr(found, name)[best]
-        left = left[count == 0]
-    return pd.DataFrame(matched)

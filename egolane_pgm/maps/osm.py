@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,12 @@ from egolane_pgm.maps.tags import KEYS, KINDS, read_lanes
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
-#: Segments are not joined if the car would turn by more than this, measured over TURN_M metres: no
-#: car turns back where a road for both directions ends.
-MOST_TURN_DEG, TURN_M = 135.0, 15.0
+#: Segments are not joined if the car would turn by more than this, degrees: no car turns back where
+#: a road for both directions ends.
+MOST_TURN_DEG = 135.0
+
+#: Length of road over which the turn is measured, metres.
+TURN_M = 15.0
 
 
 def read_osm(path: str | Path) -> LaneGraph:
@@ -28,7 +32,7 @@ def read_osm(path: str | Path) -> LaneGraph:
     large extract first (`osmium tags-filter`).
 
     Warns of invalid tags, whose lanes are unknown, and of ways with nodes without coordinates,
-    which are left out. Raises InputError for a file that is no map or has no such road.
+    which are left out. Raises InputError for a file that is not a map or has no such road.
     """
     ways, point = _read(path)
     lanes = ways["tags"].map(read_lanes)
@@ -55,7 +59,6 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
     with needed(f"{path}", "maps"):
         import osmium
     rows: list[tuple[Any, ...]] = []
-    points, lacking = bytearray(), 0
     as_bytes = osmium.geom.WKBFactory().create_linestring
     roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
@@ -64,29 +67,53 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
         .with_filter(osmium.filter.TagFilter(*(("highway", kind) for kind in KINDS)))
     )
     bad_place = (osmium.InvalidLocationError, RuntimeError, ValueError)
+    # The nodes that were not found: they come after their ways, or have negative ids.
+    later: dict[int, tuple[float, float] | None] = {}
     try:
         for road in roads:
             try:
                 # Much faster than a loop over the nodes.
-                line = bytes.fromhex(as_bytes(road))[9:]
+                line: Any = bytes.fromhex(as_bytes(road))[9:]
             except bad_place:
-                lacking += 1
-                continue
+                line = [node.ref for node in road.nodes]
+                later |= dict.fromkeys(line)
             get = road.tags.get
             name = get("ref") or get("name") or ""
-            tags = tuple([get(key) for key in KEYS])
-            rows.append((road.id, name, tags, len(line) // 16))
-            points += line
+            rows.append((road.id, name, tuple([get(key) for key in KEYS]), line))
+        if later:
+            nodes: Any = osmium.FileProcessor(str(path), osmium.osm.NODE)
+            if min(later) > 0:
+                nodes = nodes.with_filter(osmium.filter.IdFilter(later))
+            later |= {
+                node.id: (node.lon, node.lat)
+                for node in nodes
+                if node.id in later and node.location.valid()
+            }
     except bad_place as error:
-        raise InputError(f"{path}: cannot be read as a map: {error}") from None
-    if lacking:
-        _warn(f"{path}: left out {lacking} way(s) with nodes that the file lacks")
-    if not rows:
+        raise InputError(
+            f"{path}: cannot be read as a map: {error} (maps are .osm and .osm.pbf; Overpass writes"
+            " .osm after [out:xml])"
+        ) from None
+    points = bytearray()
+    found = []
+    for *row, line in rows:
+        if isinstance(line, list):
+            corners = [corner for corner, _ in groupby(map(later.get, line))]
+            if None in corners or len(corners) < 2:
+                continue
+            line = np.array(corners).tobytes()
+        found.append((*row, len(line) // 16))
+        points += line
+    if not found:
+        cure = "; end the Overpass query with `(._;>;); out;`: `out geom` is not read"
         raise InputError(
             f"{path}: no motorway and no trunk road with coordinates (highway={', '.join(KINDS)})"
+            + cure * bool(rows)
         )
+    if len(found) < len(rows):
+        _warn(f"{path}: left out {len(rows) - len(found)} way(s) with nodes that the file lacks")
     point = np.frombuffer(points, dtype="<f8").reshape(-1, 2)[:, ::-1]
-    return pd.DataFrame(rows, columns=["way", "name", "tags", "size"]), point
+    return pd.DataFrame(found, columns=["way", "name", "tags", "size"]), point
 
 
 # --- segments ----------------------------------------------------------------------------------
@@ -114,7 +141,9 @@ def _segments(ways: pd.DataFrame, place: FloatArray, lanes: IntArray) -> LaneGra
 
     driven = lanes[way]
     piece, backward = np.nonzero(driven >= 0)
-    way, start, stop = way[piece], ends[piece, backward], ends[piece, 1 - backward]
+    way = way[piece]
+    start = ends[piece, backward]
+    stop = ends[piece, 1 - backward]
     size = np.abs(stop - start) + 1
     first = np.concatenate([[0], np.cumsum(size)])
     nth = np.arange(first[-1]) - np.repeat(first[:-1], size)
@@ -145,14 +174,16 @@ def with_joins(ways: LaneGraph) -> LaneGraph:
     from shapely import get_coordinates, line_interpolate_point
 
     n = len(ways)
-    begin, end = ways.point[ways.first[:-1]], ways.point[ways.first[1:] - 1]
+    begin = ways.point[ways.first[:-1]]
+    end = ways.point[ways.first[1:] - 1]
     place = np.unique(_place_key(np.concatenate([begin, end])), return_inverse=True)[1]
     begins = pd.DataFrame({"place": place[:n], "after": np.arange(n)})
     ends = pd.DataFrame({"place": place[n:], "before": np.arange(n)})
     before, after = ends.merge(begins)[["before", "after"]].to_numpy().T
     leaving = get_coordinates(line_interpolate_point(ways.lines, TURN_M)) - begin
     arriving = end - get_coordinates(line_interpolate_point(ways.lines, -TURN_M))
-    (a, b), (x, y) = arriving[before].T, leaving[after].T
+    a, b = arriving[before].T
+    x, y = leaving[after].T
     is_way = np.abs(np.degrees(np.arctan2(a * y - b * x, a * x + b * y))) <= MOST_TURN_DEG
     return replace(ways, before=before[is_way], after=after[is_way])
 
@@ -163,7 +194,8 @@ def with_joins(ways: LaneGraph) -> LaneGraph:
 def join_ways(graph: LaneGraph) -> LaneGraph:
     """Join segments that follow each other and have equal kind, name and number of lanes. A joined
     segment keeps the way of its first one."""
-    before, after = graph.before, graph.after
+    before = graph.before
+    after = graph.after
     alone = (np.bincount(before, minlength=len(graph))[before] == 1) & (
         np.bincount(after, minlength=len(graph))[after] == 1
     )
@@ -182,10 +214,12 @@ def join_ways(graph: LaneGraph) -> LaneGraph:
     ends = np.cumsum(size)
     index = np.arange(ends[-1]) + np.repeat(graph.first[order] + skip - (ends - size), size)
     is_tail = np.append(begins[1:], True)
-    heads, tails = order[begins], order[is_tail]
+    heads = order[begins]
+    tails = order[is_tail]
     # A ring has one join to itself, at its cut.
     stays = ~alone | (chain_of[before] != chain_of[after]) | (tails[chain_of[before]] == before)
-    before, after = chain_of[before[stays]], chain_of[after[stays]]
+    before = chain_of[before[stays]]
+    after = chain_of[after[stays]]
     sort = np.lexsort((after, before))
     return replace(
         graph,
@@ -198,13 +232,16 @@ def join_ways(graph: LaneGraph) -> LaneGraph:
 
 
 def _chains(following: IntArray) -> tuple[IntArray, BoolArray]:
-    """All segments (S,), chain by chain, and marks of the first of each chain. Chains are in the
-    order of their first segments; rings come last.
+    """Return all segments (S,), chain by chain, and marks of the first of each chain.
+
+    Chains are in the order of their first segments; rings come last.
 
     - following (S,): the next segment of each, or -1.
     """
     heads = np.setdiff1d(np.arange(len(following)), following).tolist()
-    order, begins, leads_to = [], [], following.tolist()
+    order = []
+    begins = []
+    leads_to = following.tolist()
     is_done = bytearray(len(following))
     for start in [*heads, *range(len(following))]:
         at = start

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.recordings.clock import unit_of
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, suggestion
@@ -33,7 +34,17 @@ COLUMNS = {
 #: have the dilution only.
 SIGMA_PER_HDOP_M = 3.0
 
-_KNOT, _HALF_DAY_S = 0.514444, 43_200  # metres per second, seconds
+#: Metres per second.
+_KNOT = 0.514444
+
+#: Seconds.
+_HALF_DAY_S = 43_200
+
+#: Plausible seconds between two positions.
+_STEP_S = (0.01, 60.0)
+
+#: A sentence with fewer fields is cut off: the date of RMC is its ninth.
+_NMEA_FIELDS = 10
 
 #: The name of the message type of a receiver's fixes, in any package.
 _FIX = "NavSatFix"
@@ -72,38 +83,45 @@ class Positions:
         source: str = "positions",
         **further: FloatArray,
     ) -> Positions:
-        """Check T rows of a receiver. Rows without a fix (NaN, or exactly 0 north 0 east) and rows
-        that repeat a time are left out, with one warning each.
+        """Check T rows of a receiver. Rows without a time, without a fix (NaN, or exactly 0 north
+        0 east), and rows that repeat a time are left out, with one warning each.
 
         - further: speed_mps, heading_deg and sigma_m, as far as they are known.
 
-        Raises InputError for a time that is missing or goes back, a latitude beyond 90 degrees, a
+        Raises InputError for a time that goes back, a latitude beyond 90 degrees, a
         longitude beyond 180, a standard deviation that is not positive, and if no row is left.
         """
         given = {"t_s": t_s, "latitude": latitude, "longitude": longitude, **further}
-        rows = pd.DataFrame(given, dtype=float).reindex(columns=[*COLUMNS])
+        every = pd.DataFrame(given, dtype=float).reindex(columns=[*COLUMNS])
+        rows = every[np.isfinite(every.t_s)]
         for bad, problem in (
-            (~np.isfinite(rows.t_s), "has no time"),
             (rows.latitude.abs() > 90, "has a latitude beyond 90 degrees"),
             (rows.longitude.abs() > 180, "has a longitude beyond 180 degrees"),
             (rows.sigma_m <= 0, "has a sigma_m that is not greater than 0"),
-            (rows.t_s.diff() < 0, "is earlier than the one before; sort by time"),
+            (rows.t_s.diff() < 0, "is earlier than the position before; sort by time"),
         ):
             if bad.any():
-                raise InputError(f"{source}: position {int(bad.argmax()) + 1} {problem}")
+                raise InputError(f"{source}: position {int(bad.idxmax()) + 1} {problem}")
         place = rows[["latitude", "longitude"]]
         has_fix = np.isfinite(place).all(axis=1) & (place != 0).any(axis=1)
         fixes = rows[has_fix]
         kept = fixes.drop_duplicates("t_s")
         for n_left, before, what in (
+            (len(rows), every, "without a time"),
             (len(fixes), rows, "without a fix"),
-            (len(kept), fixes, "with the time of the one before"),
+            (len(kept), fixes, "with the time of the position before"),
         ):
             if n_left < len(before):
                 left_out = f"left out {len(before) - n_left} of {len(before)} positions {what}"
                 warnings.warn(f"{source}: {left_out}", UserWarning, stacklevel=3)
         if kept.empty:
-            raise InputError(f"{source}: has no position")
+            raise InputError(f"{source}: has no position with a time and a fix")
+        step_s = float(np.median(np.diff(kept.t_s))) if len(kept) > 1 else 1.0
+        if unit_of(step_s, _STEP_S) != "s":
+            unit = unit_of(step_s, _STEP_S) or "another unit"
+            wrong = f"the median time between two positions is {step_s:.4g} s"
+            cure = f"if the times are in {unit}, convert them to seconds"
+            warnings.warn(f"{source}: {wrong}; {cure}", UserWarning, stacklevel=3)
         return cls(**{name: kept[name].to_numpy() for name in kept}, source=source)
 
 
@@ -117,7 +135,8 @@ def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None
     Raises InputError for a file that cannot be read, for columns that do not go with the format,
     and as `Positions.make`.
     """
-    path, columns = Path(path), dict(columns or {})
+    path = Path(path)
+    columns = dict(columns or {})
     kind = ".bag" if path.is_dir() else path.suffix.lower()
     if kind not in _FORMATS:
         raise InputError(f"{path}: unknown extension '{kind}' of positions ({', '.join(_FORMATS)})")
@@ -175,49 +194,65 @@ def _read_gpx(path: Path, columns: Mapping[str, str]) -> Positions:
 def _read_nmea(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the sentences RMC and GGA, which may follow other text in their line.
 
-    Without RMC the date is unknown: times are seconds of the first day. A sentence whose checksum
-    is wrong is left out; it may have none.
+    Without RMC the date is unknown: times are seconds of the first day. A sentence that is
+    cut off or has a wrong checksum is left out with a warning; it may have no checksum.
     """
     with needed(f"{path}", "maps"):
         import pynmea2
     rows: dict[float, dict[str, float]] = {}
-    midnight, last, n_bad = 0.0, 0.0, 0
+    midnight = 0.0
+    last = 0.0
+    n_bad = 0
     for line in read_text(path).splitlines():
         start = line.find("$")
         if line[start + 3 : start + 6] not in ("RMC", "GGA"):
             continue
         try:
             fix = pynmea2.parse(line[start:].strip())
-        except pynmea2.ParseError:
+            at = fix.timestamp
+            if at is None:
+                continue
+            second = at.hour * 3600 + at.minute * 60 + at.second + at.microsecond / 1e6
+            date = fix.datestamp if fix.sentence_type == "RMC" else None
+            today = None if date is None else datetime.combine(date, time(), UTC).timestamp()
+            values = _nmea_values(fix)
+        except (ValueError, TypeError, AttributeError):
+            # pynmea2 gives the text of a field that it cannot read.
             n_bad += 1
             continue
-        if fix.timestamp is None:
-            continue
-        at = fix.timestamp
-        second = at.hour * 3600 + at.minute * 60 + at.second + at.microsecond / 1e6
-        if fix.sentence_type == "RMC" and fix.datestamp is not None:
-            midnight = datetime.combine(fix.datestamp, time(), UTC).timestamp()
+        if today is not None:
+            midnight = today
         elif second < last - _HALF_DAY_S:
             midnight += 2 * _HALF_DAY_S
         last = second
-        row = rows.setdefault(midnight + second, {})
-        has_fix = bool(fix.lat and fix.lon)
-        row["latitude"] = fix.latitude if has_fix else np.nan
-        row["longitude"] = fix.longitude if has_fix else np.nan
-        if fix.sentence_type == "GGA":
-            dilution = float(fix.horizontal_dil or 0)
-            row["sigma_m"] = SIGMA_PER_HDOP_M * dilution if dilution > 0 else np.nan
-        else:
-            row["speed_mps"] = np.nan if fix.spd_over_grnd is None else fix.spd_over_grnd * _KNOT
-            row["heading_deg"] = np.nan if fix.true_course is None else fix.true_course
+        rows.setdefault(midnight + second, {}).update(values)
     if n_bad:
-        note = f"{path}: left out {n_bad} sentence(s) that are cut off or have a wrong checksum"
+        note = f"{path}: left out {n_bad} sentence(s) that are cut off or damaged"
         warnings.warn(note, UserWarning, stacklevel=3)
     if not rows:
         raise InputError(f"{path}: has no sentence RMC or GGA with a time")
     table = pd.DataFrame.from_dict(rows, orient="index")
     found = {name: table[name].to_numpy() for name in table}
     return Positions.make(table.index.to_numpy(), source=str(path), **found)
+
+
+def _nmea_values(fix: Any) -> dict[str, float]:
+    """Return the columns of a sentence. Raises ValueError for a sentence that is cut off, and for a
+    field that is not a number."""
+    if len(fix.data) < _NMEA_FIELDS:
+        raise ValueError("cut off")
+    has_fix = bool(fix.lat and fix.lon)
+    values = {
+        "latitude": fix.latitude if has_fix else np.nan,
+        "longitude": fix.longitude if has_fix else np.nan,
+    }
+    if fix.sentence_type == "GGA":
+        dilution = float(fix.horizontal_dil or 0)
+        return {**values, "sigma_m": SIGMA_PER_HDOP_M * dilution if dilution > 0 else np.nan}
+    speed, heading = (
+        np.nan if value is None else float(value) for value in (fix.spd_over_grnd, fix.true_course)
+    )
+    return {**values, "speed_mps": speed * _KNOT, "heading_deg": heading}
 
 
 def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:

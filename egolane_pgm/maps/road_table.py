@@ -55,7 +55,9 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
 
     Raises InputError if the clocks do not overlap, and as `lanes_at`.
     """
-    time_s, first, last = log.time_s, table.t_s.iloc[0], table.t_s.iloc[-1]
+    time_s = log.time_s
+    first = table.t_s.iloc[0]
+    last = table.t_s.iloc[-1]
     if time_s[-1] < first or time_s[0] > last:
         raise InputError(
             f"{table.attrs['source']}: has the times {first:g} to {last:g} s, and {log.source} has"
@@ -69,7 +71,8 @@ def lanes_at(table: pd.DataFrame, time_s: FloatArray) -> IntArray:
 
     Raises InputError if no row has a number.
     """
-    source, known = table.attrs["source"], table[table.n_lanes > 0]
+    source = table.attrs["source"]
+    known = table[table.n_lanes > 0]
     if known.empty:
         raise InputError(f"{source}: no row has a number of lanes")
     last = np.maximum(np.searchsorted(known.t_s, time_s, side="right") - 1, 0)
@@ -81,12 +84,12 @@ def unknown_lanes(table: pd.DataFrame, log: LineLog) -> list[str]:
     """A warning of frames whose number of lanes is not in the map, if there are any."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
     way, n_lanes = table.iloc[row][["unknown_way", "n_lanes"]].to_numpy().T
-    is_unknown = (way > 0) | (n_lanes == 0)
+    is_unknown = (way != 0) | (n_lanes == 0)
     if not is_unknown.any():
         return []
-    ways = ", ".join(map(str, pd.unique(way[way > 0])[:3])) or "none"
+    ways = ", ".join(map(str, pd.unique(way[way != 0])[:3])) or "none"
     return [
         f"{table.attrs['source']}: in {is_unknown.sum()} of {len(log)} frames the number of lanes"
-        f" is not in the map (first ways without it: {ways}); it is assumed, or the number before"
+        f" is not in the map (first such ways: {ways}); it is assumed, or the number before"
         " is kept"
     ]

@@ -30,7 +30,7 @@ def read_lanes(values: tuple[str | None, ...]) -> tuple[tuple[int, int], tuple[s
 
     - values: of KEYS, None for a missing tag.
 
-    A number of lanes is 0 if unknown, and -1 if there is no travel in that direction. A tag with a
+    A number of lanes is 0 if unknown, and -1 for a direction that is not travelled. A tag with a
     mistake is ignored.
     """
     tags = {key: value.strip() for key, value in zip(KEYS, values, strict=True) if value}
@@ -66,12 +66,13 @@ def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[int, int]:
         there = back = 0 if odd else share
     elif total and not (there and back):
         rest = max(total - there - back, 0)
-        there, back = there or rest, back or rest
+        there = there or rest
+        back = back or rest
     return there, back
 
 
 def _count(tags: dict[str, str], keys: list[str], problems: list[str]) -> int:
-    """A number of lanes; 0 without a valid one."""
+    """Return a number of lanes; 0 if there is no valid tag."""
     key = next((key for key in keys if key in tags), None)
     if key is None:
         return 0

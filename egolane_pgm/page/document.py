@@ -55,7 +55,8 @@ def write_page(results: Sequence[Result], file: Path) -> None:
     times = pd.concat(result.frames["time_s"] for result in results)
     time = Range1d(times.min(), times.max(), name="time", bounds="auto", min_interval=0.5)
     shown: dict[Any, Any] = {}  # Panels that several results share are shown once.
-    scored, events = {}, []
+    scored = {}
+    events = []
     for name, result in given.items():
         for key, panel in panels(result, changes[name], "" if is_one else name, time):
             shown.setdefault(key, panel)
@@ -64,7 +65,8 @@ def write_page(results: Sequence[Result], file: Path) -> None:
         if "within" in result.scores["events"]:
             events.append("\n".join([name, *event_lines(result.scores["events"])]))
     last = list(shown.values())[-1]
-    last.xaxis.visible, last.height = True, last.height + 45
+    last.xaxis.visible = True
+    last.height = last.height + 45
     bar = {"toolbar_location": "above", "toolbar_options": {"logo": None}}
     grid = gridplot([[panel] for panel in shown.values()], sizing_mode="stretch_width", **bar)
     grid.name = "timeline"

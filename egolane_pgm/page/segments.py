@@ -26,9 +26,12 @@ def worst_segments(frames: pd.DataFrame) -> pd.DataFrame:
 
     Columns: begin_s and end_s, and those that are shown.
     """
-    known, lane, truth = is_known(frames), frames["assigned_lane"].to_numpy(), true_lane(frames)
+    known = is_known(frames)
+    lane = frames["assigned_lane"].to_numpy()
+    truth = true_lane(frames)
     wrong = known & (lane != truth) if known.any() else lanes_of(frames).max(axis=1) < SURE
-    time_s, rows = frames["time_s"].to_numpy(), []
+    time_s = frames["time_s"].to_numpy()
+    rows = []
     for start, stop in merged_runs(wrong, time_s, JOIN_S):
         part = start + np.flatnonzero(wrong[start:stop])
         row = {"begin_s": time_s[start], "end_s": time_s[stop - 1]}
@@ -42,8 +45,10 @@ def lane_changes(result: Result) -> pd.DataFrame:
 
     Columns: begin_s and end_s, to_lane and direction (0 if missed), and those that are shown.
     """
-    frames, events = result.frames, result.events
-    sides, pairs = events["direction"].map(SIDES), _arrows(events)
+    frames = result.frames
+    events = result.events
+    sides = events["direction"].map(SIDES)
+    pairs = _arrows(events)
     table = events[["to_lane", "direction"]].assign(
         begin_s=events["time_s"],
         end_s=events["detected_time_s"],

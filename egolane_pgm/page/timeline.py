@@ -19,11 +19,17 @@ from egolane_pgm.views.frames import answers, is_known, true_lane
 #: The most steps of a timeline; a step of a longer drive shows one of several frames.
 MAX_STEPS = 20_000
 
-#: Values of an image: probability 1, and a step without a frame or annotation.
-CERTAIN, BLANK = 250, 255
+#: Value of probability 1 in an image.
+CERTAIN = 250
 
-#: Reach and resolution of the image of the lines, metres.
-REACH_M, PIXEL_M = 12.0, 0.2
+#: Value of a step without a frame or annotation.
+BLANK = 255
+
+#: Reach of the image of the lines to either side, metres.
+REACH_M = 12.0
+
+#: Resolution of the image of the lines, metres.
+PIXEL_M = 0.2
 
 CLEAR = "rgba(0, 0, 0, 0)"
 SHADES = interp_palette(style.PROBABILITY_COLOURS, CERTAIN + 1)
@@ -40,11 +46,14 @@ def panels(
     - name: in front of each title; may be empty.
     - time: range of the time axis, shared by all panels of the page.
     """
-    n, x_s = result.n_lanes, result.frames["time_s"].to_numpy()
+    n = result.n_lanes
+    x_s = result.frames["time_s"].to_numpy()
     step_s = max(1 / result.frame_rate, (x_s[-1] - x_s[0]) / MAX_STEPS)
     step, first = np.unique(np.round((x_s - x_s[0]) / step_s).astype(int), return_index=True)
-    n_steps, frames = step[-1] + 1, result.frames.iloc[first]
-    known, truth = is_known(frames), true_lane(frames)
+    n_steps = step[-1] + 1
+    frames = result.frames.iloc[first]
+    known = is_known(frames)
+    truth = true_lane(frames)
     hovered, tips = _hovered(frames)
 
     def image_of(values: NDArray[Any]) -> NDArray[np.uint8]:
@@ -66,7 +75,8 @@ def panels(
             sizing_mode="stretch_width",
         )
         panel.xaxis.visible = panel.grid.visible = False
-        panel.xaxis.axis_label, panel.xaxis.formatter.use_scientific = "time (s)", False
+        panel.xaxis.axis_label = "time (s)"
+        panel.xaxis.formatter.use_scientific = False
         panel.title.text_font_size = "12px"
         panel.yaxis.ticker = list(ticks)
         dots = panel.scatter("time", sum(y) / 2, source=hovered, size=1, alpha=0)

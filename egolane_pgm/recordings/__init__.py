@@ -24,7 +24,7 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 
 #: Extensions of the files in a folder that is a bag.
-_IN_BAGS = (".mcap", ".db3", ".zstd")
+_IN_BAGS = (".mcap", ".db3", ".zstd", ".bag")
 
 
 def read_lines(
@@ -106,13 +106,15 @@ def format_of(path: str | Path) -> str:
     if path.is_dir():
         if any(file.suffix in _IN_BAGS for file in files_of(path)):
             return "rosbag"
+        if not files_of(path):
+            raise InputError(f"{path}: a folder without files; give a file or folder in it")
         raise InputError(
             f"{path}: a folder without a bag ({', '.join(f'*{e}' for e in _IN_BAGS)}); pictures"
             " need a detector (recording.detector)"
         )
     raise InputError(
         f"{path}: unknown extension '{path.suffix}' of a recording ({known_formats()}); name its"
-        " format, or of a video a detector (recording.detector)"
+        " format, or of a video a detector (recording.detector); save a spreadsheet as CSV"
     )
 
 

@@ -74,7 +74,8 @@ def fetch() -> list[str]:
     for file in list_files():
         if file.status == "present":
             continue
-        url, known = f"{BASE_URL}/{file.name}", f"sha256:{file.sha256}"
+        url = f"{BASE_URL}/{file.name}"
+        known = f"sha256:{file.sha256}"
         try:
             pooch.retrieve(url, known, file.name, file.path.parent, downloader=loader)
         except (requests.ConnectionError, requests.Timeout):

@@ -13,13 +13,21 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.recordings.columns import to_numbers, to_seconds
-from egolane_pgm.recordings.table import read_columns, with_index
+from egolane_pgm.recordings.columns import Column, checked, plain
+from egolane_pgm.recordings.table import read_columns
 from egolane_pgm.tools.files import read_text, write_text
-from egolane_pgm.types import InputError, LineLog, lane_truth, suggestion
+from egolane_pgm.types import InputError, LineLog, lane_truth
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
 _ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
+
+#: The columns of ground truth by frame, and by time.
+_LABELS = {
+    "lane": Column("whole", is_needed=True, others=("true_lane",)),
+    "is_crossing": Column("flag", others=("crossing",)),
+}
+_BY_FRAME = {"frame_id": Column("whole", is_needed=True, is_full=True), **_LABELS}
+_BY_TIME = {"time_s": Column("time", is_needed=True, is_full=True), **_LABELS}
 
 
 def read_ground_truth(
@@ -28,7 +36,7 @@ def read_ground_truth(
     """Read the lane of each annotated frame, and the flag of a crossing into another lane.
 
     A row is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty rows are
-    skipped. A table (.csv, .parquet) with a column time_s is read as `truth_of` takes a DataFrame.
+    skipped. A table (.parquet, or .csv with a heading frame_id or time_s) is read by `truth_of`.
 
     - log: the frames, for a table by time.
     - extra_rows: further rows (frame, lane, crossing). The paper counts frame 0 of the Spanish
@@ -37,12 +45,16 @@ def read_ground_truth(
     Raises InputError, naming the line, for a malformed row, for a file without rows, and for frames
     that do not increase.
     """
-    table = Path(path)
-    is_csv = table.suffix.lower() == ".csv"
-    if table.suffix.lower() == ".parquet" or (is_csv and "time_s" in read_text(table)[:1000]):
-        return truth_of(read_columns(table), log, str(path))
+    path = Path(path)
+    kind = path.suffix.lower()
     rows: list[tuple[int, ...]] = []
-    for number, line in enumerate(read_text(Path(path)).splitlines(), start=1):
+    lines = [] if kind == ".parquet" else read_text(path).splitlines()
+    is_named = re.search(r"frame_id|time_s", "".join(lines[:1]))
+    if kind == ".parquet" or (kind == ".csv" and is_named):
+        known = truth_of(read_columns(path), log, str(path))
+        rows = [*known.astype(int).itertuples(name=None)]
+        lines = []
+    for number, line in enumerate(lines, start=1):
         if match := _ROW.fullmatch(line):
             rows.append(tuple(map(int, match.groups())))
         elif line.strip() and (number > 1 or re.search(r"\d", line)):
@@ -51,7 +63,7 @@ def read_ground_truth(
                 " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
             )
     if not rows:
-        raise InputError(f"{path}: has no row 'frame;lane;crossing'")
+        raise InputError(f"{path}: has no annotated row, 'frame;lane;crossing'")
     for extra in extra_rows:
         insort(rows, tuple(extra))
     frame_id, lane, crossing = np.array(rows).T
@@ -69,53 +81,48 @@ def truth_of(
     - log: the frames, for rows by time.
     - source: for messages.
 
-    Raises InputError for a missing column, a wrong cell, and frame ids or times that do not
-    increase or are of no frame.
+    Raises InputError for a missing column, a wrong cell, frame ids or times that do not increase,
+    and times without a frame.
 
     >>> import pandas as pd
     >>> from egolane_pgm.recordings.ground_truth import truth_of
     >>> truth_of(pd.DataFrame({"frame_id": [7, 8, 9], "lane": [2, None, 1]}))["true_lane"].to_list()
     [2, 1]
     """
-    path = Path(source)
-    frame = with_index(given, "ground_truth")
-    frame = frame.rename(columns={"crossing": "is_crossing", "true_lane": "lane"})
+    frame = plain(given, source)
     if "frame_id" not in frame and "time_s" in frame and log is not None:
-        frame = _at_frames(frame, log, path)
-    for name in ("frame_id", "lane"):
-        if name not in frame:
-            raise InputError(f"{path}: no column {name}{suggestion(name, frame.columns)}")
-    frame = frame.dropna(subset=["frame_id", "lane"])
-    frame_id, lane = (to_numbers(path, name, frame[name]) for name in ("frame_id", "lane"))
-    crossing = np.zeros(len(frame))
-    if "is_crossing" in frame:
-        crossing = to_numbers(path, "is_crossing", frame["is_crossing"])
-    return lane_truth(frame_id, lane, crossing == 1, str(path))
+        frame = _at_frames(checked(frame, _BY_TIME, source), log, source)
+    frame = checked(frame, _BY_FRAME, source).dropna(subset="lane")
+    crossing = frame.get("is_crossing", pd.Series(False, frame.index)).fillna(False)
+    return lane_truth(frame["frame_id"], frame["lane"], crossing, source)
 
 
-def _at_frames(frame: pd.DataFrame, log: LineLog, path: Path) -> pd.DataFrame:
+def _at_frames(frame: pd.DataFrame, log: LineLog, source: str) -> pd.DataFrame:
     """Join rows by time to the frames nearest to them."""
-    time_s = to_seconds(path, "time_s", frame["time_s"])
-    later = np.diff(time_s) > 0
-    if not later.all():
-        row = int(later.argmin())
-        before, after = time_s[row : row + 2]
-        wrong = f"{before:.10g} is followed by {after:.10g}"
-        raise InputError(f"{path}: row {row + 2}: time_s must increase, {wrong}")
+    if frame.empty:
+        raise InputError(f"{source}: has no rows")
+    time_s = frame["time_s"].to_numpy()
+    for name, times in ((source, time_s), (log.source, log.time_s)):
+        later = np.diff(times) > 0
+        if not later.all():
+            row = int(later.argmin())
+            before, after = times[row : row + 2]
+            wrong = f"{before:.10g} is followed by {after:.10g}"
+            raise InputError(f"{name}: row {row + 2}: time_s must increase, {wrong}")
     half = np.median(np.diff(log.time_s)) / 2 if len(log) > 1 else np.inf
     found = pd.merge_asof(
         pd.DataFrame({"frame_id": log.frame_id, "time_s": log.time_s}),
-        frame.assign(time_s=time_s),
+        frame,
         on="time_s",
         direction="nearest",
         # Times since 1970 have few digits after the point.
         tolerance=half + 1e-6,
     )
-    if "lane" in found and found["lane"].isna().all():
+    if found["lane"].isna().all():
         spans = [f"{ends[0]:.10g} to {ends[-1]:.10g} s" for ends in (log.time_s, time_s)]
         raise InputError(
-            f"{path}: no time_s is that of a frame; the frames are from {spans[0]}, the rows from"
-            f" {spans[1]}"
+            f"{source}: no row has the time of a frame; the frames are from {spans[0]}, the rows"
+            f" from {spans[1]}"
         )
     return found
 

@@ -8,20 +8,21 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from egolane_pgm.recordings.decoding import Fields, fields_of_dicts
-from egolane_pgm.recordings.rosbag import Message, Topics, reading, time_of
+from egolane_pgm.recordings.rosbag import Message, Topics, time_of
 from egolane_pgm.tools.extras import needed
+from egolane_pgm.tools.files import reading
 from egolane_pgm.types import InputError
 
 with needed("an .mcap file outside ROS 2", "mcap"):
     from mcap.reader import McapReader, make_reader
 
-_CURE = "; if it was cut off or damaged, try `mcap recover`"
+CURE = "; if it was cut off or damaged, try `mcap recover`"
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[McapReader]:
     """Open a file. Raises InputError for any error of mcap, also inside the block."""
-    with reading(path, "MCAP", _CURE), path.open("rb") as file:
+    with reading(path, "MCAP", CURE), path.open("rb") as file:
         yield make_reader(file)
 
 
@@ -44,8 +45,8 @@ def messages(reader: McapReader, topic: str) -> Iterator[Message]:
     for _, channel, message in reader.iter_messages([topic]):
         if channel.message_encoding != "json":
             raise InputError(
-                f"{topic}: the encoding '{channel.message_encoding}' cannot be read, only ROS 2"
-                " and JSON"
+                f"{topic}: the encoding '{channel.message_encoding}' cannot be read, only JSON"
+                " and files with the profile ros2"
             )
         value = json.loads(message.data)
         yield time_of(value, message.log_time), value

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, Nodetype
+from rosbags.interfaces import Connection, MessageDefinitionFormat, Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from egolane_pgm.recordings import files_of
 from egolane_pgm.recordings.decoding import Fields, fields_of_objects, stamp_of
+from egolane_pgm.tools.files import reading
 from egolane_pgm.types import InputError
 
 #: The topics of a file: message type and number of messages.
@@ -27,7 +29,7 @@ Topics = dict[str, tuple[str, int]]
 Message = tuple[float, Mapping[str, Any]]
 
 #: Advice for a damaged file.
-_CURE = (
+CURE = (
     "; if it was cut off or damaged, record or copy it again, or try `rosbag reindex` (.bag),"
     " `mcap recover` (.mcap) or `ros2 bag reindex`"
 )
@@ -35,10 +37,15 @@ _CURE = (
 
 @contextmanager
 def opened(path: Path) -> Iterator[AnyReader]:
-    """Open a bag. Raises InputError for any error of rosbags, also inside the block."""
+    """Open a bag. Raises InputError for any error of rosbags, also inside the block.
+
+    - path: a file, or a folder. Without metadata.yaml, all bags in the folder are read.
+    """
+    is_bag = path.is_file() or (path / "metadata.yaml").is_file()
+    paths = [path] if is_bag else files_of(path)
     # ROS 1 bags have all definitions; ROS 2 databases may lack the standard ones.
-    typestore = None if path.suffix == ".bag" else get_typestore(Stores.LATEST)
-    with reading(path, "a bag", _CURE), AnyReader([path], default_typestore=typestore) as bag:
+    typestore = None if paths[0].suffix == ".bag" else get_typestore(Stores.LATEST)
+    with reading(path, "a bag", CURE), AnyReader(paths, default_typestore=typestore) as bag:
         yield bag
 
 
@@ -63,7 +70,8 @@ def fields_of(bag: AnyReader, topic: str) -> Fields:
     of that name."""
     chosen = _connections(bag, topic)
     found = list(bag.messages(chosen))
-    types, kind = bag.typestore.fielddefs, chosen[0].msgtype
+    types = bag.typestore.fielddefs
+    kind = chosen[0].msgtype
     read = [bag.deserialize(raw, kind) for _, _, raw in found]
     fields = fields_of_objects(read, kind, types)
     is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
@@ -74,17 +82,22 @@ def fields_of(bag: AnyReader, topic: str) -> Fields:
 
 def _connections(bag: AnyReader, topic: str) -> list[Connection]:
     chosen = [each for each in bag.connections if each.topic == topic]
-    for kind in {each.msgtype for each in chosen} - bag.typestore.fielddefs.keys():
-        raise InputError(
-            f"has no definition of {kind}; convert it to MCAP where that type is known:"
-            " `ros2 bag convert`"
-        )
+    for each in chosen:
+        kind = each.msgtype
+        has_text = each.msgdef.format == MessageDefinitionFormat.NONE or each.msgdef.data.strip()
+        # A trigger has no fields.
+        is_known = has_text or kind == "std_msgs/msg/Empty"
+        if not is_known or kind not in bag.typestore.fielddefs:
+            raise InputError(
+                f"has no definition of {kind}; convert it to MCAP where that type is known:"
+                " `ros2 bag convert`"
+            )
     return chosen
 
 
 def time_of(value: Mapping[str, Any], logged_ns: int) -> float:
     """The time of a message, seconds: the stamp of its header, or its `timestamp` in Foxglove's
-    schemas; without one, or if it is zero, the time of recording.
+    schemas; the time of recording if there is no stamp or it is zero.
 
     >>> time_of({"header": {"stamp": {"sec": 12, "nanosec": 500_000_000}}}, 13_000_000_000)
     12.5
@@ -99,18 +112,3 @@ def time_of(value: Mapping[str, Any], logged_ns: int) -> float:
 def _seconds(ns: Any) -> Any:
     # Nanoseconds since 1970 have more digits than a float.
     return ns // 10**9 + ns % 10**9 / 1e9
-
-
-@contextmanager
-def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
-    """Turn any error of a library for damaged bytes into an InputError that names the file.
-
-    - what: the kind of file. cure: advice, for the message.
-    """
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except Exception as error:
-        problem = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
-        raise InputError(f"{path}: cannot be read as {what} ({problem}){cure}") from None

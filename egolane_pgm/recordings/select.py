@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from egolane_pgm.recordings.clock import step_of
 from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 
 #: Valid lines with an offset beyond this, metres, are warned of: no motorway is wider.
@@ -14,7 +15,7 @@ ABSURD_OFFSET_M = 100.0
 #: Frames on each side of an annotated lane change in which the lines pass under the car.
 HALF_CHANGE = 20
 
-#: A longer gap cannot be filled: its ids are no frame numbers.
+#: A longer gap cannot be filled: its ids cannot be frame numbers.
 MAX_FILLED = 1_000_000
 
 
@@ -48,7 +49,8 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
     n_missing = int(np.ptp(log.frame_id)) + 1 - len(log) if len(log) else 0
     if policy == "skip" or n_missing == 0:
         return log
-    first, last = int(log.frame_id[0]), int(log.frame_id[-1])
+    first = int(log.frame_id[0])
+    last = int(log.frame_id[-1])
     if n_missing > MAX_FILLED:
         raise InputError(
             f"{log.source}: missing_frames: {policy} would add {n_missing} frames between"
@@ -96,9 +98,7 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
 
 def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     """Frames per second of T frames, to four digits; None if unknown."""
-    if len(frame_id) < 2:
-        return None
-    step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
+    step = step_of(frame_id, time_s)
     return float(f"{1 / step:.4g}") if step > 0 else None
 
 
@@ -141,7 +141,8 @@ def sign_warning(log: LineLog, true_lane: IntArray) -> list[str]:
         # A line is the nearest one of the next frame, unless it jumps by more than half a metre.
         nearest = np.nanmin(np.abs(step), axis=(1, 2), initial=0.5)[:, None, None]
         moved = np.nansum(np.where(np.abs(step) == nearest, step, 0)) * np.sign(to_left[k])
-        agrees, against = agrees + (moved > 1), against + (moved < -1)
+        agrees += moved > 1
+        against += moved < -1
     if against < 3 or against < 0.8 * (agrees + against):
         return []
     return [

@@ -1,4 +1,4 @@
-"""Describe a table or a bag as text, with the command that runs it if it has our names."""
+"""Describe a recording as text, with the command that runs it if it has our names."""
 
 from __future__ import annotations
 
@@ -10,19 +10,22 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings import format_of, read_lines
 from egolane_pgm.recordings.columns import to_numbers
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.recordings.table import TABLES, read_columns
+from egolane_pgm.recordings.table import read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
 from egolane_pgm.types import InputError
 
 
 def show_recording(path: Path) -> str:
-    """Describe a table or a bag. Raises InputError for a file that cannot be read."""
-    if path.suffix.lower() in TABLES:
+    """Describe a recording. Raises InputError for another file and for a damaged one."""
+    format = format_of(path)
+    if format == "table":
         table = read_columns(path)
         return "\n".join([f"{path}: {len(table)} rows", *_spans(table), *_command(path)])
+    if format != "rosbag":
+        return "\n".join([f"{path}: format {format}", *_command(path)])
     text = []
     for topic, (kind, count) in topics_of(path).items():
         text.append(f"{topic} ({kind}): {count} messages")
@@ -41,12 +44,15 @@ def show_recording(path: Path) -> str:
 
 
 def _spans(table: pd.DataFrame) -> Iterator[str]:
-    """A line per column: smallest and largest number, or the first cells."""
+    """A line per column: smallest and largest number, counts of a flag, or the first cells."""
     for name, column in table.items():
+        is_flag = pd.api.types.infer_dtype(column) == "boolean"
         try:
-            values = to_numbers(Path(), "lri", column)
+            values = to_numbers(Path(), "", column, kind="flag" if is_flag else "number")
             known = values[~np.isnan(values)]
             span = f"{known.min():.10g} to {known.max():.10g}"
+            if is_flag:
+                span = f"true in {int(known.sum()):,} of {len(known):,}"
         except (InputError, ValueError):
             span = ", ".join(dict.fromkeys(str(cell)[:25] for cell in column[:3]))
         yield f"  {name:<24} {span}"
@@ -62,7 +68,7 @@ def _command(path: Path, **options: Any) -> list[str]:
         log = read_lines(path, **options)
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
-        return [f"  to run it, name the columns with --columns: {why}"]
+        return [f"  to run it: {why}"]
     given = "".join(
         f" --set recording.{name}={shlex.quote(value)}" for name, value in options.items()
     )

@@ -11,8 +11,8 @@ two forms.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,12 +20,10 @@ import pyarrow as pa
 from pyarrow import csv
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.recordings.columns import FRAME_RATE, lines_of_columns
-from egolane_pgm.tools.files import atomic, read_parquet, write_parquet
+from egolane_pgm.recordings.columns import FRAME_RATE, plain
+from egolane_pgm.recordings.lines import lines_of_columns
+from egolane_pgm.tools.files import atomic, read_parquet, reading, write_parquet
 from egolane_pgm.types import InputError, LineLog
-
-#: Extensions of tables.
-TABLES = (".csv", ".tsv", ".parquet")
 
 
 def read_table(
@@ -36,7 +34,7 @@ def read_table(
     - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
     - columns: names of the columns, if they are not ours.
 
-    Raises InputError for a file that cannot be read, and as `recordings.columns.lines_of_columns`.
+    Raises InputError for a file that cannot be read, and as `recordings.lines.lines_of_columns`.
     """
     return lines_of_columns(read_columns(Path(path)), columns, Path(path), frame_rate)
 
@@ -61,57 +59,30 @@ def lines_of(
     """
     if isinstance(given, LineLog):
         return given
-    frame = _check_names(path, with_index(given, "recording"))
-    return lines_of_columns(frame, columns, path, frame_rate)
-
-
-def with_index(given: Any, what: str) -> pd.DataFrame:
-    """A DataFrame with its index among its columns, whose names are text.
-
-    - what: name of the argument, for the InputError if it is no DataFrame.
-    """
-    if not isinstance(given, pd.DataFrame):
-        raise InputError(f"{what}: {given!r:.60} is neither a file nor a DataFrame")
-    frame = given.rename(columns=str)
-    names = [name for name in frame.index.names if name is not None and name not in frame]
-    return frame.reset_index(names)
+    return lines_of_columns(plain(given, str(path)), columns, path, frame_rate)
 
 
 def read_columns(path: Path) -> pd.DataFrame:
-    """Read a whole CSV or Parquet file.
+    """Read a whole CSV or Parquet file; see `recordings.columns.plain`.
 
     The separator of a CSV is the most frequent one of its heading. With semicolons numbers may have
     a decimal comma.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such file")
     if path.suffix.lower() == ".parquet":
-        return read_parquet(path)
-    if path.suffix.lower() not in TABLES:
-        raise InputError(
-            f"{path}: unknown extension '{path.suffix}' of a table ({', '.join(TABLES)})"
-        )
+        return plain(read_parquet(path), str(path))
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         separator = max(",;\t|", key=file.readline().count)
     decimal = "," if separator == ";" else "."
-    try:
+    with reading(path, "CSV"):
         # Several times as fast as pandas, which would also rename columns of one name.
         table = csv.read_csv(
             path,
             parse_options=csv.ParseOptions(delimiter=separator),
             convert_options=csv.ConvertOptions(decimal_point=decimal, strings_can_be_null=True),
         ).to_pandas(split_blocks=True, types_mapper={pa.bool_(): pd.BooleanDtype()}.get)
-    except (OSError, pa.ArrowInvalid, UnicodeDecodeError) as error:
-        problem = " ".join(str(error).split())[:160]
-        raise InputError(f"{path}: cannot be read as CSV ({problem})") from None
-    return _check_names(path, table.rename(columns=str.strip))
-
-
-def _check_names(path: Path, table: pd.DataFrame) -> pd.DataFrame:
-    twice = table.columns[table.columns.duplicated() & (table.columns != "")]
-    if len(twice):
-        raise InputError(f"{path}: column {twice[0]} occurs more than once")
-    return table
+    return plain(table, str(path))
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -121,7 +92,8 @@ def write_table(path: str | Path, log: LineLog) -> None:
     clips, whose borders a table does not keep, for another extension, and if the file cannot be
     written.
     """
-    path, table = Path(path), log.take(~log.is_missing).to_pandas().reset_index()
+    path = Path(path)
+    table = log.take(~log.is_missing).to_pandas().reset_index()
     if log.clip is not None:
         raise InputError(f"{log.source}: has several clips; a written file holds one drive")
     if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):

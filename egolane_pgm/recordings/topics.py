@@ -7,6 +7,8 @@ a list of lines keep their own names.
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,9 +17,10 @@ from typing import Any
 import pandas as pd
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns
+from egolane_pgm.recordings import files_of, rosbag
+from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE
 from egolane_pgm.recordings.decoding import Fields, fields_of_dicts
+from egolane_pgm.recordings.lines import lines_of_columns
 from egolane_pgm.recordings.rosbag import Message, Topics
 from egolane_pgm.types import InputError, LineLog, near_word
 
@@ -49,29 +52,51 @@ def messages(path: str | Path, topic: str) -> Iterator[Message]:
     Raises InputError as `topics_of`, for an unknown topic, and for one without messages.
     """
     with _opened(Path(path)) as (library, file):
-        yield from library.messages(file, _find_topic(library.topics_of(file), topic))
+        there = library.topics_of(file)
+        n_read = 0
+        for message in library.messages(file, _find_topic(there, topic)):
+            n_read += 1
+            yield message
+        _check_count(path, topic, n_read, there[topic][1], library.CURE)
 
 
 def fields_of(path: Path, topic: str | None = None) -> Fields:
     """The fields of all messages on a topic (by default the one with lines), and their times
     `time_s` in seconds. Raises InputError as `messages`."""
     with _opened(path) as (library, file):
-        fields: Fields = library.fields_of(file, _find_topic(library.topics_of(file), topic))
+        there = library.topics_of(file)
+        topic = _find_topic(there, topic)
+        fields: Fields = library.fields_of(file, topic)
+        _check_count(path, topic, len(fields["time_s"]), there[topic][1], library.CURE)
     return fields
+
+
+def _check_count(path: str | Path, topic: str, n_read: int, n_counted: int, cure: str) -> None:
+    """Warn of messages that the file counts but its index lacks."""
+    if n_read < n_counted:
+        missing = f"{path}: only {n_read} of {n_counted} messages on {topic} can be read{cure}"
+        warnings.warn(missing, UserWarning, stacklevel=4)
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """The module that reads a file, and the open file. Raises InputError for a missing one."""
     library: Any = rosbag
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file")
-    if path.suffix.lower() == ".mcap" and path.is_file():
-        with path.open("rb") as opened:
+    files = files_of(path) if path.is_dir() else [path]
+    if not files:
+        raise InputError(f"{path}: the folder is empty")
+    if files[0].suffix.lower() == ".mcap":
+        with files[0].open("rb") as opened:
             head = opened.read(25)
-        # rosbags reads MCAP files of ROS 2, and refuses what is no MCAP file.
+        # rosbags reads MCAP files of ROS 2, and refuses other files.
         if head.startswith(b"\x89MCAP") and head[17:] != b"\x04\0\0\0ros2":
             from egolane_pgm.recordings import mcap_file as library
+
+            if len(files) > 1:
+                raise InputError(f"{path}: has {len(files)} MCAP files; give one, {files[0]}")
+            [path] = files
     with library.opened(path) as file:
         yield library, file
 
@@ -106,7 +131,7 @@ def read_topic(
     - frame_rate: frames per second of messages with frame ids but without times.
     - columns: names of the fields; by default the published ones, or our own.
 
-    Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
+    Raises InputError as `messages` and `recordings.lines.lines_of_columns`.
     """
     path = Path(path)
     names: Any = columns or Columns()
@@ -117,7 +142,7 @@ def read_topic(
         if path.suffix == ".bag" and names["frame_id"] in table and names.get("time_s") is None:
             # The stamps of the published ROS 1 bags are times of processing: they jump by minutes
             # or are zero. Time is frame id over frame rate there.
-            del table["time_s"]
+            names["time_s"] = None
     return lines_of_columns(table, names, path, frame_rate, row=table.index.to_numpy())
 
 
@@ -135,7 +160,7 @@ def lines_of_messages(
     - frame_rate: frames per second of messages with frame ids but without times.
     - first: first frame id, if frames are numbered by their times.
 
-    Raises InputError as `recordings.columns.lines_of_columns`.
+    Raises InputError as `recordings.lines.lines_of_columns`.
 
     >>> from egolane_pgm.recordings.topics import lines_of_messages
     >>> from egolane_pgm.experiment import Columns

@@ -30,19 +30,29 @@ from egolane_pgm.simulation.world import (
 )
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
 
-#: Correlation times of the noise and of the continuous flag, and the mean duration of a false
-#: track, seconds.
-_NOISE_S, _FLAG_S, _CLUTTER_S = 0.7, 0.5, 2.0
+#: Correlation time of the noise, seconds.
+_NOISE_S = 0.7
 
-#: The width of the fall of visibility with distance (logistic), and the standard deviation of the
-#: shift of lines in a failure, metres.
-_RANGE_SOFTNESS_M, _BAD_SHIFT_M = 1.0, 2.5
+#: Correlation time of the continuous flag, seconds.
+_FLAG_S = 0.5
+
+#: Mean duration of a false track, seconds.
+_CLUTTER_S = 2.0
+
+#: Width of the fall of visibility with distance (logistic), metres.
+_RANGE_SOFTNESS_M = 1.0
+
+#: Standard deviation of the shift of lines in a failure, metres.
+_BAD_SHIFT_M = 2.5
 
 #: The number of frames over which detections are counted.
 _LRI_MAX = 10
 
-#: The largest number of false tracks at once, and their largest distance to either side, metres.
-_CLUTTER_TRACKS, _CLUTTER_RANGE_M = 2, 10.0
+#: The largest number of false tracks at once.
+_CLUTTER_TRACKS = 2
+
+#: The largest distance of a false track to either side, metres.
+_CLUTTER_RANGE_M = 10.0
 
 #: A table of the standard normal's cumulative distribution.
 _GRID = np.linspace(-6.0, 6.0, 1201)
@@ -116,7 +126,8 @@ def _stretches(
 
 def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray:
     """The frames in which the sensor fails, (T,): a Markov chain that starts in equilibrium."""
-    rng, rate = np.random.default_rng([seed, 1]), road.frame_rate
+    rng = np.random.default_rng([seed, 1])
+    rate = road.frame_rate
     return _stretches(rng, len(road.lane), detector.ok_s * rate, detector.bad_s * rate)
 
 
@@ -137,14 +148,16 @@ def _road_tracks(
     true_m = np.where(exists, true_m, 0.0)
     n_frames, n_tracks = true_m.shape
     # Lanes may begin and end along the road, so its outer lines are the outermost existing ones.
-    number, of_road = np.arange(n_tracks), exists[:, :-1]
+    number = np.arange(n_tracks)
+    of_road = exists[:, :-1]
     first = of_road.argmax(axis=1)[:, None]
     last = (n_tracks - 2 - of_road[:, ::-1].argmax(axis=1))[:, None]
     # 0 the left line, 1 an inner one, 2 the right one, 3 the shoulder.
     role = np.where(number == first, 0, np.where(number == last, 2, 1))
     role[:, -1] = 3
 
-    d, fps = detector, road.frame_rate
+    d = detector
+    fps = road.frame_rate
     seen = np.array([d.seen_left, d.seen_inner, d.seen_right, d.seen_shoulder])[role]
     excess = np.clip((np.abs(true_m) - detector.range_m) / _RANGE_SOFTNESS_M, -50, 50)
     in_view = _slow_events(rng, seen / (1.0 + np.exp(excess)), detector.in_view_s * fps)
@@ -168,7 +181,9 @@ def _clutter_tracks(
     road: Road, detector: DetectorModel, is_failing: BoolArray, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Offsets, detections and continuous flags, (T, K) each, of the false lines."""
-    n_frames, fps, n_tracks = len(is_failing), road.frame_rate, _CLUTTER_TRACKS
+    n_frames = len(is_failing)
+    fps = road.frame_rate
+    n_tracks = _CLUTTER_TRACKS
     offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
     is_detected = np.zeros((n_frames, n_tracks), dtype=bool)
     stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
@@ -222,7 +237,8 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
         pd.DataFrame(np.where(is_detected, values, np.nan)).ffill().to_numpy()
         for values in (offset, is_continuous)
     )
-    offset, is_continuous = np.where(is_listed, held, np.nan), (flag == 1) & is_listed
+    offset = np.where(is_listed, held, np.nan)
+    is_continuous = (flag == 1) & is_listed
 
     n_slots = max(1, int(is_listed.sum(axis=1).max()))
     order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last

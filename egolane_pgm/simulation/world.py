@@ -17,11 +17,17 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, lane_
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The largest wander inside the lane, in standard deviations, and its correlation time, seconds.
-_WANDER_LIMIT, _WANDER_S = 2.5, 5.0
+#: The largest wander inside the lane, standard deviations.
+_WANDER_LIMIT = 2.5
 
-#: The shortest and the longest lane change, as multiples of the median duration.
-_SHORTEST, _LONGEST = 0.6, 1.7
+#: The correlation time of the wander, seconds.
+_WANDER_S = 5.0
+
+#: The shortest lane change, as a multiple of the median duration.
+_SHORTEST = 0.6
+
+#: The longest lane change, as a multiple of the median duration.
+_LONGEST = 1.7
 
 #: Kinds of settings. A million is a slip of the finger in any unit.
 Positive = Annotated[float, Field(gt=0, le=1e6)]
@@ -78,7 +84,7 @@ class Road:
     - lane, is_crossing: (T,) as annotated
     - line_offset_m: (T, n + 1) lane lines as seen from the vehicle, leftmost first, metres,
       negative on the left; NaN where lanes have not begun yet or have ended
-    - shoulder_offset_m: (T,) the additional line on the right; NaN without one
+    - shoulder_offset_m: (T,) the additional line on the right; NaN if there is none
     """
 
     frame_rate: float
@@ -114,12 +120,13 @@ def slow_noise(
 
 
 def simulate_road(world: World, seed: int) -> Road:
-    """Simulates a drive along `world`; the same seed gives the same drive.
+    """Simulate a drive along `world`; the same seed gives the same drive.
 
     Raises InputError if the lane changes do not fit into the frames.
     """
     rng = np.random.default_rng([seed, 0])
-    n, width = world.n_lanes, world.lane_width_m
+    n = world.n_lanes
+    width = world.lane_width_m
     minutes = world.n_frames / world.frame_rate / 60.0
     count = int(world.changes_per_minute * minutes + 1e-9) if n > 1 else 0
     stretch = np.exp(world.change_spread * rng.standard_normal(count))

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.inference.compile import Compiled, takes_any_model, with_tables
 from egolane_pgm.inference.expected_counts import counted_tables, expected_counts
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 
@@ -91,6 +91,7 @@ def iterate(
         compiled, log_prior = maximise(expected.counts)
 
 
+@takes_any_model
 def fit_tables(
     compiled: Compiled,
     evidence: Evidence,

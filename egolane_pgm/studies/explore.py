@@ -50,7 +50,7 @@ from egolane_pgm.studies.structures import (
     with_structure,
 )
 from egolane_pgm.studies.study import Fold, everything, training_of_fold
-from egolane_pgm.tools.files import make_directory, write_yaml
+from egolane_pgm.tools.files import write_text, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
@@ -407,9 +407,8 @@ def explore(
         directory,
     )
     if directory is not None:
-        make_directory(directory)
-        done.edges.to_csv(directory / "edges.csv", index=False)
-        done.structures.to_csv(directory / "structures.csv", index=False)
+        write_text(directory / "edges.csv", done.edges.to_csv(index=False))
+        write_text(directory / "structures.csv", done.structures.to_csv(index=False))
         about = {"description": f"edges chosen by {problem.judge}: {changes}"}
         graph = graph_in_memory(done.model, done.model.learned_from or "unknown")
         write_yaml(directory / "best.graph.yaml", {**about, **(graph.keys or {})})

@@ -376,16 +376,24 @@ def fit_tune(
     score = objective(drives, space, tuning, used, settings.objective, pooled=pooled)
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, space, storage)
-        if fold is None and not study.get_trials(deepcopy=False):
+        if fold is None:
             own = current_values(drives[0].model, tuning)
-            points = (to_point(space, {**own, **each}) for each in starts)
             with quiet():
-                for point in filter(None, points):
-                    study.enqueue_trial(dict(point), skip_if_exists=True)
+                enqueue(study, [to_point(space, {**own, **each}) for each in starts])
         search(study, space, score, settings)
     fitted = Fitted(searched_values(space, tuning, best_trial(study).params))
     fitted.trials = trials_of(study)
     return fitted
+
+
+def enqueue(study: optuna.Study, points: Sequence[Point | None]) -> None:
+    """Let a study try points, unless it has tried them or will."""
+    states = (TrialState.COMPLETE, TrialState.WAITING)
+    for point in filter(None, points):
+        trials = study.get_trials(deepcopy=False, states=states)
+        tried = [trial.system_attrs.get("fixed_params", trial.params) for trial in trials]
+        if dict(point) not in tried:
+            study.enqueue_trial(dict(point))
 
 
 def trials_of(study: optuna.Study) -> pd.DataFrame:

@@ -128,30 +128,67 @@ def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
 
 
 def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
-    """Run a study until its number of trials, by all workers, is complete.
+    """Run a study until its number of trials, by all workers, is there.
 
-    Raises InputError if the sampler does not fit the space.
+    A point that the model does not allow is a failed trial, which counts. Raises InputError if the
+    sampler does not fit the space, and if all trials fail.
     """
-    total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
-    n_before, is_first = len(study.get_trials(deepcopy=False)), True
+    n_before = len(study.get_trials(deepcopy=False))
     with sampler_errors(settings.sampler):
         study.sampler = make_sampler(settings, space, n_before)
+    has_drawn, total = False, settings.trials or TRIALS
     with quiet():
-        while len(study.get_trials(deepcopy=False, states=complete)) < total:
+        while True:
+            ended = _ended(study)
             # Trials that a study begins with have their values.
-            waiting = is_first and study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
+            is_given = bool(study.get_trials(deepcopy=False, states=(TrialState.WAITING,)))
+            if len(ended) >= total and not is_given:
+                break
             with sampler_errors(settings.sampler):
                 trial = study.ask(space.distributions)
-            if is_first and not waiting:
-                is_first = False
+            if not (is_given or has_drawn):
+                has_drawn = True
                 if trial.number != n_before:
                     # Another worker began at the same moment and draws the same.
                     study.sampler = make_sampler(settings, space, trial.number)
                     study.tell(trial, state=TrialState.FAIL)
                     continue
-            found = score(trial.params)
-            with sampler_errors(settings.sampler):
-                study.tell(trial, found)
+            _run(study, trial, score, settings)
+    failed = [trial for trial in ended if trial.state == TrialState.FAIL]
+    if failed:
+        first = failed[0]
+        values = ", ".join(f"{name} {value:.6g}" for name, value in first.params.items())
+        note = f"{len(failed)} of {len(ended)} trials failed; trial {first.number}, at {values}: "
+        note += first.user_attrs[_REASON]
+        if len(failed) == len(ended):
+            raise InputError(note)
+        warnings.warn(note, UserWarning, stacklevel=2)
+
+
+#: The attribute of a failed trial with the reason.
+_REASON = "reason"
+
+
+def _ended(study: optuna.Study) -> list[FrozenTrial]:
+    """The trials with a score or with a reason why they have none."""
+    ends = (TrialState.COMPLETE, TrialState.FAIL)
+    trials = study.get_trials(deepcopy=False, states=ends)
+    return [t for t in trials if t.state == TrialState.COMPLETE or _REASON in t.user_attrs]
+
+
+def _run(study: optuna.Study, trial: optuna.Trial, score: Score, settings: FitSettings) -> None:
+    """Score a trial; it is complete or failed at the end, also if the command is interrupted."""
+    try:
+        found = score(trial.params)
+    except InputError as error:
+        trial.set_user_attr(_REASON, str(error))
+        study.tell(trial, state=TrialState.FAIL)
+    except BaseException:
+        study.tell(trial, state=TrialState.FAIL)
+        raise
+    else:
+        with sampler_errors(settings.sampler):
+            study.tell(trial, found)
 
 
 @contextmanager

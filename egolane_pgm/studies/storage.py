@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from optuna.exceptions import StorageInternalError
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
@@ -16,6 +18,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import InputError
+
+#: How often a new database is opened, and the time between, seconds.
+_TRIES = 3
+_WAIT_S = 0.5
 
 #: The journal in the directory of a study.
 JOURNAL_NAME = "study.journal"
@@ -30,10 +36,19 @@ def open_storage(storage: str) -> BaseStorage:
     if is_file:
         make_directory(Path(storage).parent)
     try:
-        return JournalStorage(_Journal(Path(storage))) if is_file else RDBStorage(storage)
+        return JournalStorage(_Journal(Path(storage))) if is_file else _open_database(storage)
     # Drivers of databases have different errors; a damaged journal raises others in Optuna.
     except Exception as error:
         raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
+
+
+def _open_database(url: str) -> RDBStorage:
+    """Open a database; its tables may be made by another process at the same moment."""
+    for _ in range(_TRIES - 1):
+        with suppress(SQLAlchemyError):
+            return RDBStorage(url)
+        time.sleep(_WAIT_S)
+    return RDBStorage(url)
 
 
 class _Journal(JournalFileBackend):
@@ -44,16 +59,30 @@ class _Journal(JournalFileBackend):
 
     def __init__(self, path: Path) -> None:
         # A lock older than five seconds was left by a process that was killed.
-        self.path, self.lock = path, JournalFileOpenLock(str(path), grace_period=5)
+        self.path = path
+        self.lock = JournalFileOpenLock(str(path), grace_period=5)
         super().__init__(str(path), self.lock)
+        self.append_logs([])
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
         self.lock.acquire()
         try:
-            with self.path.open("ab") as file:
+            with self.path.open("ab+") as file:
+                _cut_half_line(file)
                 file.writelines(json.dumps(log).encode() + b"\n" for log in logs)
         finally:
             self.lock.release()
+
+
+def _cut_half_line(file: BinaryIO) -> None:
+    """Cut off the end of a file after its last line, which a full disk or a kill left there."""
+    end = file.seek(0, os.SEEK_END)
+    while end > 0:
+        file.seek(end - 1)
+        if file.read(1) == b"\n":
+            break
+        end -= 1
+    file.truncate(end)
 
 
 @contextmanager

@@ -38,7 +38,14 @@ from egolane_pgm.studies.profile import make_profile, values_of
 from egolane_pgm.studies.search import new_study, sampler_name, search, settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
-from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
+from egolane_pgm.tools.files import (
+    check_place,
+    make_directory,
+    to_jsonable,
+    write_json,
+    write_parquet,
+    write_yaml,
+)
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
@@ -303,7 +310,7 @@ class Study:
         for name, rows in (("trials", self.trials), ("profile", self.profile)):
             (place / f"{name}.parquet").unlink(missing_ok=True)
             if len(rows):
-                rows.to_parquet(place / f"{name}.parquet", index=False)
+                write_parquet(place / f"{name}.parquet", rows)
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
         write_json(place / STUDY_FILE, self.document)
@@ -367,14 +374,17 @@ def training_of_fold(drives: Sequence[Drive], fold: Fold) -> tuple[TrainedOn, ..
 
 
 def run_held_out(
-    experiment: Experiment,
     drives: Sequence[Drive],
     n_blocks: int = N_BLOCKS,
     *,
+    experiment: Experiment | None = None,
     notes: Sequence[str] = (),
 ) -> Result:
-    """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
-    begin = time.perf_counter()
+    """Infer each block of some drives with a fit (`fit.method`) to the other blocks.
+
+    - experiment: by default that of the first drive.
+    """
+    begin, experiment = time.perf_counter(), experiment or drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
     folds, fit = block_folds(drives, n_blocks), fit_by_name(method)

@@ -7,10 +7,12 @@ or absent, and two programs may write the same file. A killed process leaves the
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import hashlib
 import json
+import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -101,13 +103,14 @@ def write_parquet(path: Path, frame: pd.DataFrame) -> None:
 def read_parquet(path: Path) -> pd.DataFrame:
     """Read a Parquet file. Raises InputError if it cannot be read."""
     import pandas as pd
+    from pyarrow import parquet
 
-    try:
-        with path.open("rb") as file:
+    with reading(path, "Parquet"), path.open("rb") as file:
+        try:
             return pd.read_parquet(file)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as Parquet: {reason}") from None
+        except (NotImplementedError, TypeError, ValueError, LookupError):
+            # The types that pandas noted in the file do not fit its columns.
+            return parquet.read_table(file).to_pandas(ignore_metadata=True)
 
 
 def to_jsonable(value: Any) -> Any:
@@ -134,8 +137,47 @@ def make_directory(directory: Path) -> None:
         raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
 
 
+@contextlib.contextmanager
+def replaced_directory(path: Path, is_ours: Callable[[str], bool]) -> Iterator[Path]:
+    """Yield a new folder, which takes the place of `path` if the block does not raise.
+
+    The two are exchanged in one step, so that others see the older folder or the new one, whole.
+
+    - is_ours: whether a file of the older folder, by its name, goes with it; others stay.
+
+    Raises InputError, naming `path`, for an OSError.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(path.parent) as folder:
+            new = folder / path.name
+            new.mkdir()
+            yield new
+            with contextlib.suppress(FileExistsError):
+                path.mkdir()
+            _exchange(new, path)
+            for other in new.iterdir():
+                if not is_ours(other.name) and not (path / other.name).exists():
+                    other.rename(path / other.name)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _exchange(first: Path, second: Path) -> None:
+    """Exchange two folders in one step (Linux), or else in three."""
+    exchange = 2  # RENAME_EXCHANGE of <linux/fs.h>.
+    here = -100  # AT_FDCWD of <fcntl.h>: relative to the current folder.
+    rename = getattr(ctypes.CDLL(None), "renameat2", None)
+    if rename and not rename(here, os.fsencode(first), here, os.fsencode(second), exchange):
+        return
+    third = first.with_suffix(".older")
+    second.rename(third)
+    first.rename(second)
+    third.rename(first)
+
+
 def check_place(path: Path) -> None:
-    """Raise InputError if nothing can be written at a path."""
+    """Raise InputError if a path cannot be written."""
     nearest = path.absolute().parent
     try:
         while not nearest.exists():
@@ -158,14 +200,31 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 # --- reading ---------------------------------------------------------------------------------
 
 
+@contextlib.contextmanager
+def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
+    """Turn any error of a library for damaged bytes into an InputError that names the file.
+
+    - what: the kind of file. cure: advice, for the message.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except Exception as error:
+        problem = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        problem = problem.rstrip(".") or type(error).__name__
+        raise InputError(f"{path}: cannot be read as {what} ({problem}){cure}") from None
+
+
 def read_text(path: Path) -> str:
     """Read a text file in UTF-8, with or without a byte order mark; InputError if it cannot be."""
     try:
         return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read: is not text in UTF-8") from error
+    except (OSError, ValueError) as error:
+        # A path with a NUL character is a ValueError.
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from error
 
 
 def read_yaml(path: Path, example: str) -> dict[str, Any]:

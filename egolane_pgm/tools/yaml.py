@@ -21,8 +21,12 @@ def parse_yaml(text: str, source: str) -> Any:
         mark = error.problem_mark or error.context_mark
         at = f"line {mark.line + 1}: " if mark is not None else ""
         raise InputError(f"{source}: is not YAML: {at}{error.problem}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
+    except RecursionError:
+        raise InputError(f"{source}: is not YAML: is nested too deeply") from None
+    except Exception as error:
+        # PyYAML raises almost any error for a tag that does not fit its value.
+        problem = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{source}: is not YAML: {problem}") from error
 
 
 def dump_yaml(content: Mapping[str, Any]) -> str:
@@ -39,7 +43,14 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Takes keys as text and refuses repeated ones."""
+    """Takes keys as text; refuses repeated ones, and texts with a NUL character."""
+
+    def compose_scalar_node(self, anchor: Any) -> Any:
+        node = super().compose_scalar_node(anchor)
+        if "\0" in node.value:
+            problem = "a text contains a NUL character"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+        return node
 
     def compose_mapping_node(self, anchor: Any) -> Any:
         node = super().compose_mapping_node(anchor)
@@ -47,7 +58,8 @@ class _Loader(yaml.SafeLoader):
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.tag == f"{_TAG}merge":
                 continue
-            key.tag, mark = f"{_TAG}str", key.start_mark
+            key.tag = f"{_TAG}str"
+            mark = key.start_mark
             if key.value in lines:
                 problem = f"key '{key.value}' was given in line {lines[key.value]}"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)

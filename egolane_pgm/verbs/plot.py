@@ -107,7 +107,15 @@ def plot(
 
 
 def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
-    """Print the checks of a result; return their figures."""
+    """Print the checks of a result; return their figures. Raises InputError if they would execute
+    a program of the result."""
+    e = result.experiment
+    for plugin in (e.evidence, e.graph_name):
+        if plugin.endswith(".py"):
+            raise InputError(
+                f"check: {plugin} is a program, which plot does not execute; if you trust it, in"
+                f" Python: ego.check(ego.load_result('{result.directory}'))"
+            )
     found, title = (check_model(result), prediction_calibration(result)), title_of(result)
     print(check_text(result, *found), end="\n\n")
     makes: dict[str, Callable[[], Figure]] = {"check": partial(check_figure, *found, title)}

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
-from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.sampling import compiled_of
-from egolane_pgm.model import Model
-from egolane_pgm.result import Result
+from egolane_pgm.inference.compile import Compiled, compiled_of
 from egolane_pgm.views.description import describe_tables, table_frame
 from egolane_pgm.views.style import PROBABILITY_RAMP, inline_figure, new_figure, text_colour
 
@@ -19,7 +18,7 @@ _CELL, _LARGEST, _WIDE, _LETTER = (0.42, 0.19), (4.2, 6.1), 10.0, 0.068
 MAX_ROWS = 1000
 
 
-def draw_tables(network: Model | Compiled | Result) -> Figure:
+def draw_tables(network: Any) -> Figure:
     """Draw the tables of a network as heat maps: a row per combination of the parents' values.
 
     - network: as in `draw_network`.

@@ -14,10 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from egolane_pgm.graphs.cpds import SliceNode, bif, ve_name
-from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.sampling import compiled_of
-from egolane_pgm.model import Model
-from egolane_pgm.result import Result
+from egolane_pgm.inference.compile import Compiled, compiled_of
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
 
@@ -88,7 +85,7 @@ def write_network(compiled: Compiled, path: Path, gains: Gains | None = None) ->
 # --- the picture ---------------------------------------------------------------------------------
 
 
-def draw_network(network: Model | Compiled | Result) -> Figure:
+def draw_network(network: Any) -> Figure:
     """Draw the two slices of a network: hidden, observed, input and function nodes.
 
     - network: a result, its model, or a network as `compile` returns it.

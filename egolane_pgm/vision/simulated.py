@@ -26,8 +26,14 @@ from egolane_pgm.vision.camera.writing import write_picture
 #: The camera of the pictures. It sees a lane to each side from 7 m ahead.
 CAMERA = Camera(480, 270, 390.0, 390.0, 239.5, 134.5, height_m=1.4, pitch_deg=-4.0)
 
-#: Speed of the car, metres per second, and the dashes of the inner lines, metres.
-SPEED_MPS, DASH_M, PERIOD_M = 27.0, 4.0, 12.0
+#: Speed of the car, metres per second.
+SPEED_MPS = 27.0
+
+#: Length of a dash of the inner lines, metres.
+DASH_M = 4.0
+
+#: Distance from the start of a dash to the start of the next, metres.
+PERIOD_M = 12.0
 
 #: A line farther away is too thin to be seen, metres.
 _FAR_M = 80.0

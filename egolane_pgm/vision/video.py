@@ -37,11 +37,17 @@ FRAME: Colour = (170, 170, 170)
 #: The size of all text.
 TEXT = 0.45
 
-#: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
-AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
+#: Nearest and farthest distance ahead of the camera in the bird's-eye view, metres.
+AHEAD_M = (0.0, 40.0)
 
-#: How far ahead lines are drawn, and the length of a dash, metres.
-DRAWN_M, DASH_M = 60.0, 3.0
+#: Reach of the bird's-eye view to either side, metres.
+SIDE_M = 10.0
+
+#: Distance ahead up to which lines are drawn, metres.
+DRAWN_M = 60.0
+
+#: Length of a drawn dash, metres.
+DASH_M = 3.0
 
 #: Lower pictures are enlarged to this height, so that the text fits, pixels.
 LEAST_HEIGHT = 360
@@ -51,10 +57,10 @@ LEAST_HEIGHT = 360
 class Scene:
     """The data of one frame.
 
-    - lines: as a detector gives them
+    - lines: the output of a detector
     - belief: (n,) over the lanes
     - assigned: the lane that the model answers, 0 for Unassigned
-    - truth: the annotated lane; None without one
+    - truth: the annotated lane; None if unknown
     """
 
     frame_id: int
@@ -83,12 +89,14 @@ class Layout:
 def layout(camera: Camera) -> Layout:
     """The layout for the pictures of a camera."""
     larger = max(1.0, LEAST_HEIGHT / camera.height)
-    width, height = round(camera.width * larger), round(camera.height * larger)
+    width = round(camera.width * larger)
+    height = round(camera.height * larger)
     camera = scaled(camera, width, height)
     above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
     below = max(150, height // 4)
     # Video codecs need even sizes.
-    size_x, size_y = width + above, height + below
+    size_x = width + above
+    size_y = height + below
     size = (size_x + size_x % 2, size_y + size_y % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
@@ -99,9 +107,10 @@ def layout(camera: Camera) -> Layout:
 
 
 def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
-    """Draws one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
+    """Draw one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
     canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
-    width, height = places.camera.width, places.camera.height
+    width = places.camera.width
+    height = places.camera.height
     # OpenCV only copies a picture of this size.
     shown = np.asarray(cv2.resize(picture, (width, height)), dtype=np.uint8)
     columns, rows = places.from_above
@@ -143,7 +152,7 @@ def _draw_lines(places: Layout, picture: Image, above: Image, lines: FrameLines)
 
 
 def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
-    """Draws the part of a curve that is in or near the image."""
+    """Draw the part of a curve that is in or near the image."""
     reach = 4.0 * max(image.shape)
     with np.errstate(invalid="ignore"):
         there = np.isfinite(u) & np.isfinite(v) & (np.abs(u) < reach) & (np.abs(v) < reach)
@@ -163,7 +172,8 @@ def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thicknes
 def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
     """The left, top, right and bottom of the boxes of the bars: lanes from left to right, then
     Unassigned."""
-    top, bottom = places.camera.height + 26, places.size[1] - 42
+    top = places.camera.height + 26
+    bottom = places.size[1] - 42
     edges = np.linspace(12, places.camera.width - 12, n_lanes + 2)
     sides = zip(np.rint(edges[:-1] + 4), np.rint(edges[1:] - 4), strict=True)
     return [(int(left), top, int(right), bottom) for left, right in sides]
@@ -180,7 +190,8 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
         name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
-        middle, room = (left + right) // 2, right - left
+        middle = (left + right) // 2
+        room = right - left
         _write(canvas, name, (middle, lower + 15), room, INK, centred=True)
         if k < n_lanes:
             text = f"{100 * share:.0f} %"
@@ -193,7 +204,8 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
 
 
 def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
-    left, top = places.camera.width + 10, places.camera.height
+    left = places.camera.width + 10
+    top = places.camera.height
     answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
     rows: list[tuple[str, Colour | None]] = [
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
@@ -203,7 +215,8 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
         ("not valid", NOT_VALID),
     ]
     for k, (text, colour) in enumerate(rows):
-        start, baseline = left, top + 22 + k * ((places.size[1] - top - 16) // len(rows))
+        start = left
+        baseline = top + 22 + k * ((places.size[1] - top - 16) // len(rows))
         if colour is not None:
             start = left + 24
             cv2.rectangle(canvas, (left, baseline - 8), (left + 16, baseline), colour, -1)

@@ -32,12 +32,12 @@ CURVES = {"ml": "line", "mc": "clothoid"}
 class Turned:
     """The stills with a camera that is turned up against its calibration. stills: lines and labels
     of each. pitch_deg, sd_deg (F,): the estimate minus the calibration that was turned, and its
-    standard deviation. said: the warnings."""
+    standard deviation. warned: the warnings."""
 
     stills: list[tusimple.Still]
     pitch_deg: FloatArray
     sd_deg: FloatArray
-    said: list[str]
+    warned: list[str]
 
 
 def stills_of(labels: Path) -> list[Picture]:
@@ -54,7 +54,7 @@ def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) 
     view = view_for(replace(camera, pitch_deg=camera.pitch_deg + away_deg), values)
     look, turned = drift.watch(view, values), turned_up(view)
     stills, pitch, sd = [], [], []
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for picture, frame in zip(shown, read_labels(labels), strict=False):
             believed = look(picture)
@@ -63,16 +63,16 @@ def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) 
             found = find_lines(turned(believed.correction_deg), picture.image, values)
             places = label_places(camera, frame, tusimple.AHEAD_M)
             stills.append(tusimple.Still(places, found.shape @ tusimple.AHEAD, found.score))
-    return Turned(stills, np.array(pitch), np.array(sd), [str(one.message) for one in said])
+    return Turned(stills, np.array(pitch), np.array(sd), [str(one.message) for one in caught])
 
 
 def warned_of(shown: Iterable[Picture], camera: Camera, name: str) -> list[str]:
     """The detector's warnings about a camera over some pictures."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for _ in detect(find_detector(name, {}, Path(), "drift"), camera, shown):
             pass
-    return [str(one.message) for one in said]
+    return [str(one.message) for one in caught]
 
 
 def measure() -> list[str]:
@@ -98,7 +98,7 @@ def measure() -> list[str]:
             off = ", ".join(
                 f"{turned.pitch_deg[k]:+.2f} ({turned.sd_deg[k]:.2f})" for k in (4, 9, 19, 54)
             )
-            said = " ".join(line.split(":")[0] for line in turned.said) or "none"
-            row = (name, f"{away:+.1f}", f"{recall:.1%}", f"{precision:.1%}", off, said)
+            notes = " ".join(line.split(":")[0] for line in turned.warned) or "none"
+            row = (name, f"{away:+.1f}", f"{recall:.1%}", f"{precision:.1%}", off, notes)
             lines.append(f"| {' | '.join(row)} |")
     return lines

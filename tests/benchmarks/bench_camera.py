@@ -15,12 +15,13 @@ from statistics import median
 
 import cv2
 
+from egolane_pgm.contracts import Detector
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.detectors.runner import Detector, find_detector, start
+from egolane_pgm.vision.detectors.runner import ReadyDetector, find_detector, start
 from egolane_pgm.vision.simulated import draw_frame
 from makers.camera import tusimple
 from makers.camera._labels import label_picture, read_labels
@@ -45,7 +46,7 @@ def camera_lines(frames: int = FRAMES) -> list[Line]:
         road = simulated_road("a4", 0, frames)
         pictures = [Picture(k, *(draw_frame(road, k, c) for c in PAIR)) for k in range(frames)]
         lines = []
-        for name in plugin_names("detectors"):
+        for name in plugin_names(Detector):
             try:
                 detector = find_detector(name, {}, Path.cwd(), "detector")
                 start(detector, CAMERA)
@@ -67,7 +68,7 @@ def _stills() -> tuple[Camera, list[Picture]]:
     return tusimple.CAMERA, pictures
 
 
-def _seconds(detector: Detector, camera: Camera, pictures: Sequence[Picture]) -> float:
+def _seconds(detector: ReadyDetector, camera: Camera, pictures: Sequence[Picture]) -> float:
     """The median CPU time of a frame."""
     step, times = start(detector, camera), []
     for picture in pictures:

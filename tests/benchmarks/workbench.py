@@ -15,7 +15,7 @@ import pandas as pd
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, uniform, within
 from egolane_pgm.inference.compile import Compiled, compile_tables
-from egolane_pgm.inference.sampling import posterior_paths, sample
+from egolane_pgm.inference.sampling import drawn_paths, sample
 from egolane_pgm.runs import open_input
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.studies.explore import explore, make_problem
@@ -83,7 +83,7 @@ def paths(data: Data) -> Part:
         return np.append(np.bincount(lane.ravel()) / lane.size, (np.diff(lane) != 0).mean())
 
     def ours() -> FloatArray:
-        return shares(posterior_paths(compiled, evidence, PATHS, seed=0)["Lane"])
+        return shares(drawn_paths(compiled, evidence, PATHS, seed=0)["Lane"])
 
     draw = peers.dynamax_paths(compiled, evidence, PATHS)
     others = {"dynamax, jit of vmap": lambda: shares(compiled.node_value["Lane"][draw()])}

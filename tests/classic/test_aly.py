@@ -93,12 +93,12 @@ def test_a_picture_has_the_same_lines_whatever_came_before() -> None:
 
 
 @pytest.mark.parametrize("grey", [0, 127, 255])
-def test_pictures_without_lines_have_none(grey: int) -> None:
+def test_no_lines_are_found_in_empty_pictures(grey: int) -> None:
     flat = np.full((CAMERA.height, CAMERA.width, 3), grey, dtype=np.uint8)
     assert len(found_in(flat).shape) == 0
 
 
-def test_the_rim_of_a_blanked_part_is_no_line() -> None:
+def test_the_rim_of_a_blanked_part_is_not_a_line() -> None:
     image = road((), camera=CAMERA)
     image[:, : CAMERA.width // 2] = 0
     near = places(found_in(image), 10)

@@ -130,7 +130,7 @@ def test_an_mcap_file_is_a_recording_again(result: Result, file: Path) -> None:
     np.testing.assert_array_equal(lines.time_s, result.frames["time_s"])
     shown = open_source(file)
     np.testing.assert_allclose(shown.time_s, [START_S + k / 10 for k in (10, 11, 40)])
-    assert [int(image.mean()) for _, _, image in images_of(shown, None)] == [10, 11, 40]
+    assert [int(image.mean()) for _, _, (image,) in images_of([shown], None)] == [10, 11, 40]
     jpeg = base64.b64decode(messages(file)["/picture"][0][1]["data"])
     image = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
@@ -146,7 +146,9 @@ def test_a_part_has_the_messages_of_the_whole(result: Result, file: Path, tmp_pa
         assert part[topic] == [each for each in whole[topic] if each[0] in now], topic
 
 
-def test_what_is_missing_is_left_out_with_a_warning(result: Result, tmp_path: Path) -> None:
+def test_missing_lines_and_pictures_are_left_out_with_a_warning(
+    result: Result, tmp_path: Path
+) -> None:
     gone = replace(with_detector(result, tmp_path / "gone"), lines={})
     with (
         pytest.warns(UserWarning, match="has no lines"),
@@ -239,6 +241,6 @@ def test_a_video_shows_lines_and_truth_on_the_pictures(tmp_path: Path) -> None:
     assert len(frames_of(tmp_path / "c.mp4")) == 2
 
 
-def test_a_result_without_pictures_is_no_video(result: Result, tmp_path: Path) -> None:
+def test_a_result_without_pictures_cannot_become_a_video(result: Result, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no pictures to draw"):
         write_video(tmp_path / "a.mp4", result)

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile, with_tables
+from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
+from egolane_pgm.inference.expected_counts import expected_counts
 from egolane_pgm.inference.filtering import filter_beliefs, harden, step
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
@@ -36,6 +38,49 @@ def test_kernel_and_twin_give_the_same(method: str, seed: int) -> None:
     evidence = draw_evidence(compiled, 60, np.random.default_rng(seed))
     right = reference.filter_beliefs(compiled, evidence, method)
     assert_same_beliefs(filter_beliefs(compiled, evidence, method), right, 1e-11)
+
+
+@pytest.mark.parametrize("exponent", [-1000, -600, 600, 1000])
+def test_evidence_of_any_scale_in_three_groups_equals_a_computation_in_logarithms(
+    exponent: int,
+) -> None:
+    compiled = three_groups()
+    rng = np.random.default_rng(0)
+    ordinary = Evidence({name: rng.uniform(0.1, 1.0, (20, 2)) for name in "ABC"})
+    is_scaled = np.arange(20) % 3 == 1
+    scaled = Evidence(
+        {k: np.ldexp(v, exponent * is_scaled[:, None]) for k, v in ordinary.likelihoods.items()}
+    )
+    right = reference.filter_beliefs(compiled, scaled)
+    assert not right.is_impossible.any()
+    for method in METHODS:
+        found = filter_beliefs(compiled, scaled, method)
+        without = filter_beliefs(compiled, ordinary, method)
+        np.testing.assert_array_equal(found.lane, without.lane)
+        expected = without.log_evidence + is_scaled * 3 * exponent * np.log(2)
+        np.testing.assert_allclose(found.log_evidence, expected, rtol=1e-14)
+    exact = filter_beliefs(compiled, scaled)
+    assert_same_beliefs(exact, right, 1e-12 * np.abs(right.log_evidence).max())
+    path = viterbi(compiled, scaled)
+    assert path.log_probability == pytest.approx(
+        reference.path_probability(compiled, scaled, path.values["Lane"]), rel=1e-13
+    )
+    counts = expected_counts(compiled, scaled)
+    assert counts.log_evidence == pytest.approx(right.log_evidence.sum(), rel=1e-13)
+    for node, each in expected_counts(compiled, ordinary).counts.items():
+        np.testing.assert_allclose(counts.counts[node], each, rtol=1e-12)
+
+
+def three_groups() -> Compiled:
+    """Lane with three observed children."""
+    rng = np.random.default_rng(1)
+    tables = [
+        *prior("Lane", [0.2, 0.5, 0.3]),
+        *dynamics("Lane", [previous("Lane")], rng.dirichlet(np.ones(3), 3)),
+    ]
+    for name in ("A", "B", "C"):
+        tables += within(name, ["Lane"], rng.dirichlet(np.ones(2), 3))
+    return compile_tables(tables, observed=("A", "B", "C"), hidden=("Lane",))
 
 
 @every_method

@@ -9,8 +9,15 @@ import pytest
 from scipy.stats import chisquare
 
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
-from egolane_pgm.inference.sampling import posterior_paths, predicted, sample, sampled_states
+from egolane_pgm.inference.sampling import (
+    drawn_paths,
+    posterior_paths,
+    predicted,
+    sample,
+    sampled_states,
+)
 from egolane_pgm.inference.smoothing import smooth_beliefs
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import draw_evidence, random_network, template
 from tests.kits.trajectories import enumerated_paths
@@ -65,7 +72,7 @@ def test_paths_are_drawn_from_the_posterior(seed: int) -> None:
     evidence = draw_evidence(compiled, 3, np.random.default_rng(seed))
     right = enumerated_paths(drawn.tables, drawn.hidden, evidence)
     total = sum(right.values())
-    paths = posterior_paths(compiled, evidence, 20_000, seed)
+    paths = drawn_paths(compiled, evidence, 20_000, seed)
     rows = np.stack([paths[name] for name in drawn.hidden], axis=-1)
     counts = Counter(tuple(map(tuple, row)) for row in rows.tolist())
     assert_drawn_from(counts, {path: p / total for path, p in right.items()})
@@ -92,7 +99,7 @@ def test_sequences_are_drawn_and_filtered_apart() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 40, np.random.default_rng(3), zeros=0)
     is_first = np.isin(np.arange(40), (0, 25))
-    paths = posterior_paths(compiled, evidence, 20_000, 0, is_first=is_first)
+    paths = drawn_paths(compiled, evidence, 20_000, 0, is_first=is_first)
     for part in (slice(0, 25), slice(25, 40)):
         alone = smooth_beliefs(compiled, evidence.take(part))
         share = (paths["Lane"][:, part, None] == np.arange(3)).mean(axis=0)
@@ -120,5 +127,17 @@ def test_wrong_numbers_are_refused() -> None:
         sampled_states(compiled, 3, 0, np.random.default_rng(0))
     with pytest.raises(InputError, match="posterior_paths: n: 0 is not a positive number"):
         posterior_paths(compiled, evidence, 0, 0)
+
+
+def test_paths_have_a_row_per_frame_and_the_names_of_the_values() -> None:
+    compiled = template("sensor_failure", 2)
+    evidence = draw_evidence(compiled, 5, np.random.default_rng(0), zeros=0)
+    paths, codes = posterior_paths(compiled, evidence, 3, 0), drawn_paths(compiled, evidence, 3, 0)
+    best = viterbi(compiled, evidence, frame_id=np.arange(7, 12)).states
+    assert paths.index.names == ["path", "frame"]
+    assert best.index.tolist() == [7, 8, 9, 10, 11]
+    for name, values in {"Lane": ["1", "2"], "SensorState": ["0", "1"]}.items():
+        assert list(paths[name].cat.categories) == list(best[name].cat.categories) == values
+        np.testing.assert_array_equal(paths.loc[1, name].cat.codes, codes[name][1])
     with pytest.raises(InputError, match=r"is_first: shape \(3,\), the evidence has 2 frames"):
         predicted(compiled, evidence, is_first=np.zeros(3, dtype=bool))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -61,7 +62,7 @@ def test_every_graph_agrees_with_adding_up_all_trajectories(name: str) -> None:
     compiled = with_tables(template(name, 2), tables)
     n_frames = frames_to_enumerate(compiled)
     evidence = draw_evidence(compiled, n_frames, rng)
-    answers = enumerated_smoothing(tables, module.HIDDEN, evidence, range(n_frames))
+    answers = enumerated_smoothing(tables, module.hidden, evidence, range(n_frames))
     for lag, right in enumerate(answers):
         ours = fixed_lag_beliefs(compiled, evidence, lag)
         assert_same_marginals(ours, right)
@@ -208,8 +209,10 @@ def test_joined_sequences_are_inferred_one_by_one(seed: int, name: str) -> None:
     np.testing.assert_array_equal(joined.log_evidence, apart.log_evidence)
     path = viterbi(compiled, Evidence.concat(parts), is_first=is_first)
     paths = [viterbi(compiled, part) for part in parts]
-    for node, value in path.values.items():
-        np.testing.assert_array_equal(value, np.concatenate([each.values[node] for each in paths]))
+    pd.testing.assert_frame_equal(
+        path.states.reset_index(drop=True),
+        pd.concat([each.states for each in paths], ignore_index=True),
+    )
     assert path.log_probability == sum(each.log_probability for each in paths)
 
 

@@ -29,7 +29,10 @@ def check_against(compiled: Compiled, tables: list, evidence: Evidence, hidden: 
     right = enumerated_paths(tables, (*hidden, *others), evidence)
     best = max(right.values())
     path = viterbi(compiled, evidence)
-    states = [tuple(int(path.values[name][t]) for name in hidden) for t in range(len(evidence))]
+    states = [
+        tuple(int(path.states[name].cat.codes.iloc[t]) for name in hidden)
+        for t in range(len(evidence))
+    ]
     ours = (p for found, p in right.items() if [v[: len(hidden)] for v in found] == states)
     np.testing.assert_allclose(max(ours), best, rtol=1e-9)
     np.testing.assert_allclose(path.log_probability, math.log(best), rtol=0, atol=1e-9)
@@ -43,7 +46,7 @@ def test_no_trajectory_of_any_graph_is_more_probable(name: str) -> None:
         tables = module.tables(2, small_parameters(name, 2, rng))
         compiled = with_tables(template(name, 2), tables)
         evidence = draw_evidence(compiled, frames_to_enumerate(compiled), rng)
-        check_against(compiled, tables, evidence, module.HIDDEN)
+        check_against(compiled, tables, evidence, module.hidden)
 
 
 def test_the_path_is_as_probable_as_that_of_plain_numpy() -> None:
@@ -57,7 +60,9 @@ def test_the_path_is_as_probable_as_that_of_plain_numpy() -> None:
         if not set(compiled.state_nodes) <= set(compiled.hidden):
             continue
         sizes = [compiled.cardinality[name] for name in compiled.state_nodes]
-        states = np.ravel_multi_index([path.values[name] for name in compiled.state_nodes], sizes)
+        states = np.ravel_multi_index(
+            [path.states[name].cat.codes for name in compiled.state_nodes], sizes
+        )
         own = reference.path_probability(compiled, evidence, states)
         assert own == pytest.approx(best, abs=1e-9)
 
@@ -68,7 +73,7 @@ def test_of_equally_probable_paths_the_lowest_numbered_is_taken() -> None:
     path = viterbi(compiled, says_nothing)
     # Lane 1 and lane 3 are mirror images; an outer lane is held more surely than the middle one.
     assert path.lane.tolist() == [1, 1, 1, 1]
-    assert path.values["SensorState"].tolist() == [0, 0, 0, 0]
+    assert path.states["SensorState"].cat.codes.tolist() == [0, 0, 0, 0]
 
 
 def test_long_drives_do_not_underflow_and_impossible_frames_are_ignored() -> None:

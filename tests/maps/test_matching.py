@@ -13,11 +13,12 @@ pytest.importorskip("pyproj")
 from egolane_pgm.maps import matching
 from egolane_pgm.maps.lane_graph import LaneGraph, assumed_lanes, near
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.matching import lock_on_road, match
+from egolane_pgm.maps.matching import match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.lane_maps import PLANE, interchange, lane_map, random_trip
 from tests.reference.matching import enumerated, nearest_by_hand
+from tests.reference.nearest_road import lock_on_road
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def by_ramp(x: FloatArray) -> FloatArray:
 # --- the index and the recursions, against plain ones ----------------------------------------
 
 
-def test_near_segments_are_those_that_all_segments_tried_one_by_one_give(graph: LaneGraph) -> None:
+def test_near_segments_equal_a_search_of_all_segments(graph: LaneGraph) -> None:
     rng = np.random.default_rng(1)
     place = graph.point.mean(axis=0) + rng.uniform(-1500, 1500, (60, 2))
     place[:, 1] /= 20
@@ -58,19 +59,19 @@ def test_near_segments_are_those_that_all_segments_tried_one_by_one_give(graph: 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_filter_smoother_and_best_path_are_those_of_all_paths(seed: int) -> None:
+def test_filter_smoother_and_best_path_equal_an_enumeration_of_all_paths(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = rng.integers(1, 4, rng.integers(1, 6))
     first = np.concatenate([[0], np.cumsum(size)])
     block = np.concatenate([[0, 0], np.cumsum(size[:-1] * size[1:])])
-    said, transition = rng.normal(size=first[-1]) * 3, rng.normal(size=block[-1]) * 3
-    filtered, smoothed, best = enumerated(size, said, transition)
+    emission, transition = rng.normal(size=first[-1]) * 3, rng.normal(size=block[-1]) * 3
+    filtered, smoothed, best = enumerated(size, emission, transition)
     belief, path = np.empty(first[-1]), np.empty(len(size), dtype=np.int64)
-    matching.filter_states(first, said, block, transition, belief)
+    matching.filter_states(first, emission, block, transition, belief)
     np.testing.assert_allclose(belief, filtered, atol=1e-12)
     matching.smooth_states(first, block, transition, belief)
     np.testing.assert_allclose(belief, smoothed, atol=1e-12)
-    matching.best_path(first, said, block, transition, path)
+    matching.best_path(first, emission, block, transition, path)
     assert path.tolist() == best
 
 
@@ -125,9 +126,9 @@ def test_a_car_that_is_elsewhere_after_a_jump_is_found_there(graph: LaneGraph) -
     assert (found.segment[34:] == 5).all()
 
 
-def test_a_track_far_from_any_road_is_refused_and_says_where_both_are(graph: LaneGraph) -> None:
-    said = r"no position of 200 is .*latitude 50\.4.*; the map: latitude 49\.999"
-    with pytest.raises(InputError, match=said):
+def test_a_track_far_from_any_road_is_refused_with_both_places(graph: LaneGraph) -> None:
+    message = r"no position of 200 is .*latitude 50\.4.*; the map: latitude 49\.999"
+    with pytest.raises(InputError, match=message):
         locate(graph, drive(EASTWARD, 50_000.0))
 
 
@@ -182,9 +183,7 @@ def test_the_baseline_takes_the_nearest_road_whose_heading_fits(graph: LaneGraph
         ([0, 0, 0, 0], [0, 0, 0, 0]),
     ],
 )
-def test_lanes_that_the_map_lacks_are_those_of_the_road(
-    n_lanes: list[int], assumed: list[int]
-) -> None:
+def test_missing_lanes_are_taken_from_the_road(n_lanes: list[int], assumed: list[int]) -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
     road = lane_map(lines, n_lanes, [(k, k + 1) for k in range(3)])
     assert assumed_lanes(road).tolist() == assumed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,26 @@ def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> N
     assert graph.first[1] == 3
 
 
+@pytest.mark.parametrize("change", ["ways first", "negative ids", "both"])
+def test_ways_may_come_before_nodes_and_ids_may_be_negative(tmp_path: Path, change: str) -> None:
+    # One way repeats a node, and one lacks a node.
+    ways = [(10, [1, 2, 2, 3], ROAD), (11, [3, 8], ROAD), (12, [3, 4], {**ROAD, "lanes": 3})]
+    usual = write_osm(tmp_path / "a.osm", {**NODES, 8: None}, ways)
+    text = usual.read_text()
+    if change != "negative ids":
+        head, *parts = re.split(r"(?=<(?:node|way) )", text.removesuffix("</osm>"))
+        text = "".join([head, *sorted(parts, key=lambda part: part[:2], reverse=True), "</osm>"])
+    if change != "ways first":
+        text = re.sub('(id|ref)="', r'\1="-', text)
+    (tmp_path / "b.osm").write_text(text)
+    with pytest.warns(UserWarning, match=r"left out 1 way\(s\) with nodes that"):
+        one, other = read_osm(usual), read_osm(tmp_path / "b.osm")
+    for name in LaneGraph.__dataclass_fields__:
+        there = getattr(one, name)
+        there = -there if name == "way" and change != "ways first" else there
+        np.testing.assert_array_equal(getattr(other, name), there, err_msg=name)
+
+
 def test_mistakes_in_tags_are_counted_in_one_warning(tmp_path: Path) -> None:
     ways = [
         (10, [1, 2], {**ROAD, "lanes": "two"}),
@@ -75,6 +96,17 @@ def test_mistakes_in_tags_are_counted_in_one_warning(tmp_path: Path) -> None:
         ("a.osm", "<osm version='0.6'><node id='1' lat='north' lon='2'/></osm>", "cannot be read"),
         ("a.osm.pbf", "not at all", "cannot be read as a map"),
         ("nowhere.osm", None, "no such file"),
+        (
+            "a.json",
+            "{}",
+            r"No support .* \(maps are \.osm and .*; Overpass writes \.osm after \[out",
+        ),
+        (
+            "a.osm",
+            "<osm version='0.6'><way id='1'><nd ref='1' lat='1' lon='2'/>"
+            "<nd ref='2' lat='1' lon='3'/><tag k='highway' v='trunk'/></way></osm>",
+            r"with coordinates .*; end the Overpass query with `\(\._;>;\); out;`: `out geom` is",
+        ),
         ("a.txt", "not at all", "cannot be read as a map: Could not detect file format"),
     ],
 )

@@ -64,9 +64,18 @@ def test_columns_may_have_other_names_and_times_may_be_dates(tmp_path: Path) -> 
     assert found.t_s.tolist() == [TEN, TEN + 1.5]
 
 
-def test_gpx_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("after", [None, "<trkseg>", "00Z</time></trkpt>", "</hdop></trkpt>"])
+def test_gpx_is_read_and_a_point_without_a_time_is_left_out(
+    tmp_path: Path, after: str | None
+) -> None:
     pytest.importorskip("gpxpy")
-    found = read_positions(write(tmp_path / "a.gpx", GPX))
+    point = '<trkpt lat="49.8" lon="11.5"/>'
+    text = GPX if after is None else GPX.replace(after, after + point)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = read_positions(write(tmp_path / "a.gpx", text))
+    notes = [str(w.message).partition(": ")[2] for w in caught]
+    assert notes == ([] if after is None else ["left out 1 of 3 positions without a time"])
     assert found.t_s.tolist() == [TEN, TEN + 1.5]
     assert found.latitude.tolist() == [49.9, 49.9002]
     np.testing.assert_array_equal(found.sigma_m, [np.nan, 4.5])
@@ -80,7 +89,7 @@ def test_a_bag_is_read_and_fixes_without_status_are_left_out(tmp_path: Path) -> 
     assert found.sigma_m.tolist() == [2.0, 2.0]
 
 
-def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
+def test_a_bag_without_positions_is_refused(tmp_path: Path) -> None:
     from tests.kits.bags import line_bag
 
     bag = line_bag(tmp_path / "a.bag", [1, 2])
@@ -89,26 +98,27 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
         ("t,lat,lon\n0,52,4\n1,x,4\n", r"row 2: lat \(latitude\) is 'x', not a number"),
-        ("t,lat,lon\n,52,4\n", "position 1 has no time"),
-        ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
+        ("t,lat,lon\n,52,4\n", "has no position with a time and a fix"),
+        ("t,lat,lon\n1,52,4\n,52,4\n0,52,4\n", "position 3 is earlier than the position before"),
+        ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the position before"),
         ("t,lat,lon\n1,92,4\n", "position 1 has a latitude beyond 90"),
         ("t,lat,lon\n1,52,184\n", "position 1 has a longitude beyond 180"),
         ("t,lat,lon,sigma_m\n1,52,4,0\n", "position 1 has a sigma_m that is not greater than 0"),
-        ("t,lat,lon\n", "has no position"),
+        ("t,lat,lon\n", "has no position with a time and a fix"),
     ],
 )
-def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as error:
+def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as error:
         read_positions(write(tmp_path / "a.csv", text))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "columns", "said"),
+    ("name", "columns", "message"),
     [
         ("b.kml", {}, r"unknown extension '\.kml' of positions"),
         ("a.csv", {}, "no such file"),
@@ -118,19 +128,31 @@ def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str
     ],
 )
 def test_other_files_and_options_are_refused(
-    tmp_path: Path, name: str, columns: dict[str, str], said: str
+    tmp_path: Path, name: str, columns: dict[str, str], message: str
 ) -> None:
     for kind in ("csv", "kml", "bag"):
         write(tmp_path / f"b.{kind}", "t,lat,lon\n0,52,4\n")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_positions(tmp_path / name, columns=columns)
 
 
 def test_times_that_repeat_are_left_out() -> None:
     at = np.array([0.0, 1.0, 1.0, 2.0])
-    with pytest.warns(UserWarning, match="left out 1 of 4 positions with the time of the one"):
+    with pytest.warns(UserWarning, match="left out 1 of 4 positions with the time of the position"):
         found = Positions.make(at, 52 + at, 4 + at)
     assert found.latitude.tolist() == [52, 53, 54]
+
+
+@pytest.mark.parametrize(
+    ("step", "unit"), [(0.1, ""), (30, ""), (1000, "ms"), (10**6, "us"), (0.001, "another unit")]
+)
+def test_an_implausible_clock_is_warned_of(tmp_path: Path, step: float, unit: str) -> None:
+    rows = [f"{k * step},52.{k},4\n" for k in range(4)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_positions(write(tmp_path / "a.csv", f"t,lat,lon\n{''.join(rows)}"))
+    cures = [str(w.message).partition("if the times are in ")[2] for w in caught]
+    assert cures == ([f"{unit}, convert them to seconds"] if unit else [])
 
 
 #: 4 May 2024.
@@ -165,7 +187,7 @@ GGA_NEXT_DAY = "$GPGGA,000001.00,5110.8,N,01424.0,E,1,08,0.9,200.0,M,45.0,M,,"
 def test_nmea_is_read_across_midnight(
     tmp_path: Path, lines: list[str], date: int, speed_mps: float, sigma_m: float
 ) -> None:
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = read_positions(write(tmp_path / "a.nmea", "\n".join(lines)))
     assert found.t_s.tolist() == [date + 86_399, date + 86_401]
@@ -173,7 +195,24 @@ def test_nmea_is_read_across_midnight(
     assert found.longitude == pytest.approx([14.4] * 2)
     np.testing.assert_allclose(found.speed_mps[0], speed_mps, atol=0.01)
     np.testing.assert_allclose(found.sigma_m[0], sigma_m)
-    assert ("left out 1 sentence" in "".join(str(w.message) for w in said)) == ("*00" in lines[0])
+    assert ("left out 1 sentence" in "".join(str(w.message) for w in caught)) == ("*00" in lines[0])
+
+
+@pytest.mark.parametrize("last", [NEXT_DAY, NEXT_DAY + "*50", GGA_NEXT_DAY])
+def test_a_sentence_cut_anywhere_is_read_as_the_whole_or_left_out(
+    tmp_path: Path, last: str
+) -> None:
+    first = (GGA if last == GGA_NEXT_DAY else RMC).format("59.00")
+    for length in range(len("$GPRMC,0"), len(last)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found = read_positions(write(tmp_path / "a.nmea", f"{first}\n{last[:length]}"))
+        is_whole = last[:length].count(",") > 9 and not last[:length].endswith(("*", "*5"))
+        assert len(found) == 1 + is_whole, length
+        assert len(caught) == (not is_whole), length
+        np.testing.assert_allclose(np.diff(found.t_s), 2.0)
+        assert found.latitude == pytest.approx(51.18)
+        assert found.longitude == pytest.approx(14.4)
 
 
 def test_a_log_without_a_sentence_is_refused(tmp_path: Path) -> None:

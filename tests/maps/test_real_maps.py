@@ -15,11 +15,12 @@ pytest.importorskip("pyproj")
 
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.matching import lock_on_road, match
+from egolane_pgm.maps.matching import match
 from egolane_pgm.maps.osm import read_osm
 from tests.conftest import needs_compiler
 from tests.kits.lane_maps import random_trip
 from tests.kits.tracks import rotterdam_receivers, rotterdam_road
+from tests.reference.nearest_road import lock_on_road
 
 A9, A4 = "north-bayreuth_A9_A70", "bautzen_A4"
 

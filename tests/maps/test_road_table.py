@@ -56,10 +56,10 @@ def test_a_table_that_does_not_fit_is_refused_in_one_line(
 
 
 def test_frames_without_a_number_of_lanes_in_the_map_are_reported() -> None:
-    road = road_rows([3, 0, 0, 4], 0.0, off=[2], unknown_way={1: 7, 3: 9})
-    said = unknown_lanes(road, log_of([0, 1, 2, 3, 3.5]))
-    assert [line.partition(": ")[2] for line in said] == [
-        "in 4 of 5 frames the number of lanes is not in the map (first ways without it: 7, 9); it"
+    road = road_rows([3, 0, 0, 4], 0.0, off=[2], unknown_way={1: 7, 3: -9})
+    reports = unknown_lanes(road, log_of([0, 1, 2, 3, 3.5]))
+    assert [line.partition(": ")[2] for line in reports] == [
+        "in 4 of 5 frames the number of lanes is not in the map (first such ways: 7, -9); it"
         " is assumed, or the number before is kept"
     ]
     assert unknown_lanes(road, log_of([0])) == []

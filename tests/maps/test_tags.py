@@ -43,7 +43,7 @@ def test_lanes_forward_and_backward(tags: dict[str, object], lanes: tuple[int, i
 
 
 @pytest.mark.parametrize("lanes", ["two", "3;4", "0", "40", "-1", "2.5"])
-def test_a_number_of_lanes_that_makes_no_sense_is_unknown_and_said(lanes: str) -> None:
+def test_an_impossible_number_of_lanes_is_unknown_and_reported(lanes: str) -> None:
     found, problems = read(lanes=lanes)
     assert found == (0, -1)
     assert problems == [f"lanes={lanes} is not a number from 1 to 30"]

@@ -133,7 +133,7 @@ def test_strips_and_hovering_show_the_posterior(browser: Any, file: Path, result
     assert abs(frame["time_s"] - result.frames["time_s"].mean()) < 5
 
 
-def test_results_share_what_is_equal(browser: Any, result: Result, tmp_path: Path) -> None:
+def test_results_share_equal_panels(browser: Any, result: Result, tmp_path: Path) -> None:
     overrides = {"evidence_mode": "hard", "name": "hard"}
     other = run_input(open_input("quickstart", overrides=overrides))
     write_page([result, other], tmp_path / "two.html")

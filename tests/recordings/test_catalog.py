@@ -62,7 +62,7 @@ def test_the_recordings_have_the_checksums_of_the_catalogue() -> None:
     assert all(file.path.stat().st_size == file.size for file in list_files())
 
 
-def test_the_download_folder_is_that_of_pooch(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_download_folder_is_the_cache_of_pooch(monkeypatch: pytest.MonkeyPatch) -> None:
     import pooch
 
     monkeypatch.delenv("EGOLANE_DATA", raising=False)

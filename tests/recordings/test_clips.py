@@ -60,14 +60,14 @@ def test_results_as_the_benchmark_takes_them_have_its_rows(tmp_path: Path, first
     """Without h_samples; the last row is 710."""
     rows = list(range(first, 720, 10))
     lanes = [np.interp(rows, ROWS, columns(o), left=-2).tolist() for o in OFFSETS]
-    said = {"raw_file": f"{OFFICIAL[0]}/20.jpg", "lanes": lanes, "run_time": 10}
+    labelled = {"raw_file": f"{OFFICIAL[0]}/20.jpg", "lanes": lanes, "run_time": 10}
     nothing = {"raw_file": f"{OFFICIAL[1]}/20.jpg", "lanes": [], "run_time": 10}
     with pytest.warns(UserWarning, match="its 2 clips"):
-        log = read(tusimple(tmp_path / "a.json", [said, nothing]))
+        log = read(tusimple(tmp_path / "a.json", [labelled, nothing]))
     np.testing.assert_allclose(log.offset_m[0], OFFSETS, atol=0.02)
     assert np.isnan(log.offset_m[1]).all()
     with pytest.raises(InputError, match=r"line 1: lane 4 has 47 values for .* h_samples"):
-        read(tusimple(tmp_path / "b.json", [{**said, "lanes": [*lanes, [1.0] * 47]}]))
+        read(tusimple(tmp_path / "b.json", [{**labelled, "lanes": [*lanes, [1.0] * 47]}]))
 
 
 @pytest.mark.parametrize(

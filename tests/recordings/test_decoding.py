@@ -64,7 +64,7 @@ def drawn(store: Any, random: np.random.Generator) -> Any:
     )
 
 
-def test_columns_have_what_the_messages_have(store: Any) -> None:
+def test_columns_have_the_values_of_the_messages(store: Any) -> None:
     random = np.random.default_rng(3)
     made = [drawn(store, random) for _ in range(20)]
     found = fields_of_objects(made, "own/msg/Everything", store.fielddefs)

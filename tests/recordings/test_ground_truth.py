@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -48,20 +49,20 @@ def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         *((x, f"line 3: {x!r} is not") for x in ("3;1", "3;1;0;0", "3;x;0", "3;1;2", "lane")),
         ("1;2;0", "frame ids must increase, 1 is followed by 1"),
         ("0;2;0", "frame ids must increase, 1 is followed by 0"),
     ],
 )
-def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, said: str) -> None:
+def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, message: str) -> None:
     path = write(tmp_path / "gt.txt", f"1;1;0\n\n{line}\n4;1;0\n")
-    assert refused(path).startswith(said)
+    assert refused(path).startswith(message)
 
 
 def test_files_without_rows_or_text_are_refused(tmp_path: Path) -> None:
-    assert "has no row 'frame;lane;crossing'" in refused(
+    assert "has no annotated row, 'frame;lane;crossing'" in refused(
         write(tmp_path / "gt.txt", "frame;lane;crossing\n")
     )
     assert refused(tmp_path / "absent.txt") == "cannot be read: No such file or directory"
@@ -84,7 +85,7 @@ def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:
         st.integers(-5, 10**12), st.tuples(st.integers(1, 9), st.booleans()), min_size=1
     )
 )
-def test_what_is_written_is_read_back(
+def test_written_rows_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, rows: dict[int, tuple[int, bool]]
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "truth.txt"
@@ -107,17 +108,17 @@ def test_lanes_that_are_missing_are_not_annotated() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"frame_id": [1], "lanes": [1]}, "ground truth in memory: no column lane (did"),
         ({"frame_id": [1], "lane": [1.5]}, "ground truth in memory: row 1: lane is 1.5, not a"),
-        ([1, 2], "ground_truth: [1, 2] is neither a file nor a DataFrame"),
+        ([1, 2], "ground truth in memory: [1, 2] is neither a file nor a DataFrame"),
     ],
 )
-def test_what_is_no_frame_of_lanes_is_refused(given: Any, said: str) -> None:
+def test_a_table_without_lanes_is_refused(given: Any, message: str) -> None:
     with pytest.raises(InputError) as info:
         truth_of(pd.DataFrame(given) if isinstance(given, dict) else given)
-    assert str(info.value).startswith(said)
+    assert str(info.value).startswith(message)
 
 
 TIMED = LineLog.from_rows(
@@ -132,9 +133,10 @@ TIMED = LineLog.from_rows(
         ("time_s;lane;crossing\n0.54;1;1\n", {5: 1}),
         # The nearest of several.
         ("time_s,lane\n0.56,1\n0.59,2\n0.64,3\n", {6: 2}),
+        ("frame_id,lane,true_lane\n6,2,9\n7,,9\n8,1,9\n", {6: 2, 8: 1}),
     ],
 )
-def test_rows_by_time_belong_to_the_nearest_frame(
+def test_rows_of_a_table_belong_to_a_frame_or_the_nearest_one(
     tmp_path: Path, rows: str, frames: dict[int, int]
 ) -> None:
     path = tmp_path / "truth.csv"
@@ -145,19 +147,39 @@ def test_rows_by_time_belong_to_the_nearest_frame(
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         (
             "time_s,lane\n7,1\n8,1\n",
-            "no time_s is that of a frame; the frames are from 0.5 to",
+            "no row has the time of a frame; the frames are from 0.5 to",
         ),
         ("time_s,lane\n0.6,1\n0.5,1\n", "row 2: time_s must increase, 0.6 is followed by 0.5"),
-        ("time_s,lan\n0.5,1\n", "no column lane"),
+        ("time_s,lan\n0.5,1\n", "no column lane (did you mean 'lan'?); the table has time_s, lan"),
+        ("time_s,lane\n", "has no rows"),
+        ("time_s,lane\n,1\n", "row 1: time_s is empty"),
+        ("time_s,lane\n1790000000000,1\n", "time_s is 1.79e+12, which is not a time in s; it is"),
+        ("frame_id,lane\n5,\n", "has no annotated row"),
+        ("frame_id,lane\n,1\n", "row 1: frame_id is empty"),
+        ("frame_id,lane\n5,true\n", "row 1: lane is True, not a whole number"),
     ],
 )
-def test_rows_by_time_that_fit_no_frame_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+def test_rows_of_a_table_that_fit_no_frame_are_refused(
+    tmp_path: Path, rows: str, message: str
+) -> None:
     path = tmp_path / "truth.csv"
     path.write_text(rows)
     with pytest.raises(InputError) as info:
         read_ground_truth(path, log=TIMED)
-    assert str(info.value).startswith(f"{path}: {said}")
+    assert str(info.value).startswith(f"{path}: {message}")
+
+
+def test_a_log_whose_times_go_back_has_no_truth_by_time() -> None:
+    back = replace(TIMED, time_s=TIMED.time_s[::-1])
+    with pytest.raises(InputError, match=r"row 2: time_s must increase, 0.8 is followed by 0.7"):
+        truth_of(pd.DataFrame({"time_s": [0.5], "lane": [1]}), back)
+
+
+def test_extra_rows_are_added_to_a_table(tmp_path: Path) -> None:
+    path = write(tmp_path / "truth.csv", "frame_id,lane\n5,1\n7,2\n")
+    truth = read_ground_truth(path, extra_rows=[(6, 2, 1)])
+    assert truth["true_lane"].to_dict() == {5: 1, 6: 2, 7: 2}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,10 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines
+from egolane_pgm.recordings.topics import messages
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
@@ -26,6 +30,11 @@ from tests.kits.bags import (
     write_fixes2,
 )
 from tests.kits.rosbag_writer import write_lines
+from tests.kits.sensor_files import json_mcap
+
+#: Kinds of records in an MCAP file; readers skip unknown ones.
+CHUNK_INDEX = 0x08
+UNKNOWN_RECORD = 0x7F
 
 LINES: list[list[Line]] = [
     [(True, False, 7, -1.75), (False, True, -1, 3e32)],
@@ -87,7 +96,7 @@ def killed(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "options", "said"),
+    ("make", "options", "message"),
     [
         (lambda path: None, {}, ": no such file"),
         (of_bytes(b"frame_id,line\n"), {}, "cannot be read as a bag (File magic is invalid)"),
@@ -112,11 +121,11 @@ def killed(path: Path) -> None:
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
 )
-def test_what_cannot_be_read_is_refused(
-    tmp_path: Path, make: Callable[[Path], object], options: dict[str, Any], said: str
+def test_a_bag_that_cannot_be_read_is_refused(
+    tmp_path: Path, make: Callable[[Path], object], options: dict[str, Any], message: str
 ) -> None:
     make(tmp_path / "a.bag")
-    assert said in refused(tmp_path / "a.bag", **options)
+    assert message in refused(tmp_path / "a.bag", **options)
 
 
 # --- ROS 2 ---------------------------------------------------------------------------------------
@@ -163,7 +172,7 @@ def test_ros1_keeps_frame_id_over_frame_rate_and_its_stamps_where_they_are_asked
     assert_same(stamped, log)
 
 
-def test_without_a_stamp_in_the_header_the_time_is_that_of_recording(
+def test_without_a_stamp_in_the_header_the_time_of_recording_is_used(
     log: LineLog, tmp_path: Path
 ) -> None:
     stamps = [10**18 + k * 10**8 for k in range(len(log))]
@@ -188,17 +197,80 @@ def test_a_bag_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_p
     assert "has no definition of my_msgs/msg/Lanes; convert it to MCAP" in refused(bag)
 
 
+def test_a_file_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    write_lines(file, log)
+    with file.open("rb") as opened:
+        [schema] = make_reader(opened).get_summary().schemas.values()
+    with file.open("wb") as opened:
+        writer = McapWriter(opened)
+        writer.start(profile="ros2")
+        blank = writer.register_schema(schema.name, schema.encoding, b"")
+        channel = writer.register_channel("/lines", "cdr", blank)
+        writer.add_message(channel, 0, b"\0" * 80, 0)
+        writer.finish()
+    assert refused(file).startswith(f": has no definition of {schema.name}; convert it to MCAP")
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_a_folder_without_metadata_is_read_in_order(
+    log: LineLog, tmp_path: Path, storage: str
+) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for k, frames in enumerate((slice(30, None), slice(0, 30))):
+        bag = write_bag2(tmp_path / f"bag{k}", log.take(frames), storage=storage)
+        [file] = files_of(bag)
+        file.rename(folder / file.name)
+    assert_same(read_lines(folder), log)
+
+
+def test_messages_that_the_index_lacks_are_counted(tmp_path: Path) -> None:
+    file = tmp_path / "a.mcap"
+    with file.open("wb") as opened:
+        writer = McapWriter(opened, chunk_size=200)
+        writer.start()
+        schema = writer.register_schema("lines", "jsonschema", b"{}")
+        channel = writer.register_channel("/lines", "json", schema)
+        for k in range(40):
+            message = json.dumps({"time_s": k / 10, "offset_1": -1.8})
+            writer.add_message(channel, k * 10**8, message.encode(), k * 10**8)
+        writer.finish()
+    whole = bytearray(file.read_bytes())
+    # The footer has the place of the summary; a record is a kind, a length and its content.
+    at = int.from_bytes(whole[-28:-20], "little")
+    while whole[at] != CHUNK_INDEX:
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    assert len(read_lines(file)) == 40
+    whole[at] = UNKNOWN_RECORD
+    file.write_bytes(whole)
+    with pytest.warns(UserWarning, match=r"a\.mcap: only 3\d of 40 messages on /lines can be read"):
+        assert len(read_lines(file)) < 40
+    with pytest.warns(UserWarning, match=r"only 3\d of 40 messages"):
+        assert len(list(messages(file, "/lines"))) < 40
+
+
+def test_json_files_of_a_folder_are_given_one_by_one(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        json_mcap(tmp_path / f"{name}.mcap")
+    assert refused(tmp_path).startswith(f": has 2 MCAP files; give one, {tmp_path / 'a.mcap'}")
+    (tmp_path / "b.mcap").unlink()
+    assert len(list(messages(tmp_path, "/lanes"))) == 100
+    (tmp_path / "a.mcap").unlink()
+    assert refused(tmp_path, format="rosbag") == ": the folder is empty"
+
+
 def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     log: LineLog, tmp_path: Path
 ) -> None:
     bag = write_bag2(tmp_path / "bag", replace(log, frame_id=np.arange(60) - 30))
     found = read_lines(bag, columns={"frame_id": None}).frame_id
     np.testing.assert_array_equal(found, np.arange(60))
-    said = refused(bag, columns=Columns(frame_id="header.seq"))
-    assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
+    message = refused(bag, columns=Columns(frame_id="header.seq"))
+    assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in message
 
 
-def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(tmp_path: Path) -> None:
+def test_positions_are_read_from_ros1_and_ros2_alike(tmp_path: Path) -> None:
     rows = [(START_S + k, 51.1 + k * 1e-4, 14.4) for k in range(3)]
     bag = write_fixes2(tmp_path / "bag", rows)
     found = read_positions(bag)

@@ -1,4 +1,4 @@
-"""Ranges of frames, missing frames, the join with the ground truth, what is said of a log."""
+"""Ranges of frames, missing frames, the join with the ground truth, warnings about a log."""
 
 from __future__ import annotations
 
@@ -96,8 +96,8 @@ def test_each_oddity_is_one_line_with_its_count_and_first_frame() -> None:
         lri=np.array([[1.0, 2, 3, 4], [0, 7, 99, nan], [-7, 11, nan, nan]]),
         source="odd.bag",
     )
-    said = recording_warnings(log, n_lanes=2)
-    assert said == [
+    message = recording_warnings(log, n_lanes=2)
+    assert message == [
         "odd.bag: 3 valid line(s) have an LRI outside 0..10, first in frame 4",
         "odd.bag: 1 valid line(s) have an offset beyond 100 m, first in frame 5",
         "odd.bag: 1 frame(s) have more valid lines than the 3 of 2 lane(s), first in frame 3",

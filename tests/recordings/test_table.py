@@ -80,7 +80,7 @@ def test_padding_is_not_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", FORMATS)
-def test_a_table_keeps_times_and_says_its_rate(tmp_path: Path, extension: str) -> None:
+def test_a_table_keeps_times_and_its_rate(tmp_path: Path, extension: str) -> None:
     log = short_drive().log
     file = tmp_path / f"a.{extension}"
 
@@ -98,7 +98,7 @@ def test_a_table_keeps_times_and_says_its_rate(tmp_path: Path, extension: str) -
     assert rate(frame_rate=5) == 5
 
 
-def test_the_csv_is_the_one_the_documentation_shows(tmp_path: Path) -> None:
+def test_the_csv_is_as_documented(tmp_path: Path) -> None:
     nan = np.nan
     log = LineLog(
         frame_id=np.array([7, 8, 9]),
@@ -143,15 +143,15 @@ def test_a_file_of_pandas_is_read(tmp_path: Path) -> None:
 
 def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_path: Path) -> None:
     path = csv(tmp_path, "frame_id,line,offset_m,isvalid,speed\n1,1,2.0,false,30\n")
-    with pytest.warns(UserWarning, match="ignored column") as said:
+    with pytest.warns(UserWarning, match="ignored column") as caught:
         log = read_table(path)
-    assert len(said) == 1
-    assert "isvalid (did you mean 'is_valid'?), speed" in str(said[0].message)
+    assert len(caught) == 1
+    assert "isvalid (did you mean 'is_valid'?), speed" in str(caught[0].message)
     assert log.is_valid.all()
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
+    ("row", "message"),
     [
         ("x,1,2.0,true,false,3", "frame_id is 'x', not a whole number"),
         (",1,2.0,true,false,3", "frame_id is empty"),
@@ -161,13 +161,13 @@ def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_p
         ("1,1,2.0,true,false,3", "its frame has this line twice"),
     ],
 )
-def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: str) -> None:
+def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, message: str) -> None:
     text = HEADING + f"1,1,2.0,true,false,3\n1,2,4.0,true,true,3\n{row}\n"
-    assert refused(csv(tmp_path, text)).startswith(f"row 3: {said}")
+    assert refused(csv(tmp_path, text)).startswith(f"row 3: {message}")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (HEADING, "the table has no rows"),
         (
@@ -193,12 +193,12 @@ def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: st
         ("frame_id,time_s,offset_m\n3,,2\n", "row 1: time_s is empty"),
     ],
 )
-def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "a.csv").write_bytes(text.encode(errors="surrogateescape"))
-    assert refused(tmp_path / "a.csv").startswith(said)
+    assert refused(tmp_path / "a.csv").startswith(message)
 
 
-def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_table_is_refused(tmp_path: Path) -> None:
     assert refused(tmp_path / "absent.csv") == "no such file"
     (tmp_path / "b.parquet").write_bytes(b"PAR1 this is not one")
     assert "cannot be read as Parquet" in refused(tmp_path / "b.parquet")
@@ -218,14 +218,14 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         ("7,1,2,x,,true", "row 1: offset_3 (offset_m) is 'x', not a number"),
         ("7,1,2,3,,", "row 1: is_valid is empty"),
     ],
 )
-def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, said: str) -> None:
-    assert said in refused(csv(tmp_path, WIDE.splitlines()[0] + "\n" + rows + "\n"))
+def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, message: str) -> None:
+    assert message in refused(csv(tmp_path, WIDE.splitlines()[0] + "\n" + rows + "\n"))
 
 
 # --- DataFrames ----------------------------------------------------------------------------------
@@ -261,16 +261,16 @@ def test_a_frame_is_read_as_its_file(tmp_path: Path, extension: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"frame": [1], "offset_m": [1.0]}, "in memory: no column frame_id (did you"),
         ({"frame_id": [1]}, "in memory: no column offset_m; the table has frame_id"),
         ({"frame_id": [1], "offset_m": [True]}, "in memory: row 1: offset_m is True, not a"),
         ({"frame_id": [1], "offset_m": [[1.0]]}, "in memory: row 1: offset_m is [1.0], not a"),
-        ("drive.csv", "recording: 'drive.csv' is neither a file nor a DataFrame"),
+        ("drive.csv", "in memory: 'drive.csv' is neither a file nor a DataFrame"),
     ],
 )
-def test_what_is_no_frame_of_lines_is_refused(given: Any, said: str) -> None:
+def test_a_table_without_lines_is_refused(given: Any, message: str) -> None:
     with pytest.raises(InputError) as info:
         lines_of(pd.DataFrame(given) if isinstance(given, dict) else given)
-    assert str(info.value).startswith(said)
+    assert str(info.value).startswith(message)

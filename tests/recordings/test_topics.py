@@ -46,7 +46,7 @@ def test_flat_messages_are_a_line_or_a_frame() -> None:
         np.testing.assert_array_equal(log.offset_m, [[-1.8, 1.7]] * 3)
 
 
-def test_what_cannot_be_read_is_refused_with_advice(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_refused_with_advice(tmp_path: Path) -> None:
     file = tmp_path / "a.mcap"
     json_mcap(file)
     with pytest.raises(InputError, match=r"no topic /lane \(did you mean '/lanes'\?\); the file"):

@@ -91,8 +91,14 @@ def test_the_annotated_lane_is_where_the_vehicle_is_outside_crossings(
     assert np.abs(np.diff(road.position_m)).max() < width / 2
 
 
+def test_lane_changes_take_0_6_to_1_7_times_the_median_duration() -> None:
+    world = World(n_frames=20_000, change_s=5, change_spread=3, crossing_share=1, min_stay_s=1)
+    lengths = stretches(simulate_road(world, 0).is_crossing)
+    assert (min(lengths), max(lengths)) == (30, 85)
+
+
 @pytest.mark.parametrize("flips_at", [1.0, 0.65, 0.0])
-def test_the_label_flips_where_in_the_crossing_it_is_told_to(flips_at: float) -> None:
+def test_the_label_flips_at_the_configured_part_of_the_crossing(flips_at: float) -> None:
     road = simulate_road(World(n_frames=3000, change_s=6, label_flips_at=flips_at), 5)
     begins = np.flatnonzero(np.diff(road.is_crossing.astype(int), prepend=0) == 1)
     lengths = stretches(road.is_crossing)
@@ -235,8 +241,6 @@ def test_frames_and_lanes_and_any_field_can_be_overridden() -> None:
         ({"changes_per_minute": 40}, r"changes_per_minute: 80 lane changes do not fit into 1200"),
     ],
 )
-def test_what_cannot_be_simulated_is_refused_by_name(
-    arguments: dict[str, object], message: str
-) -> None:
+def test_impossible_keys_are_refused_by_name(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         simulate(**arguments)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ import egolane_pgm as ego
 from egolane_pgm.drives import Drive
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import compile_tables
-from egolane_pgm.inference.expected_counts import free_numbers
+from egolane_pgm.inference.expected_counts import free_parameters
 from egolane_pgm.studies import explore as module
 from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
@@ -145,11 +145,11 @@ def test_repetition_is_found_from_its_counts() -> None:
     np.testing.assert_allclose(values, counts / 1000, atol=0.01)
 
 
-def test_free_numbers_and_bic_by_hand() -> None:
+def test_free_parameters_and_bic_by_hand() -> None:
     repeated = structures.repetition(np.array([0.0, 0.4, 0.6]), 0.5)
     plain = np.array([[0.5, 0.5], [1.0, 0.0], [0.9, 0.1]])
     tables = [Table(("A", 1), (("A", 0),), repeated), Table(("B", 1), (("A", 1),), plain)]
-    assert free_numbers({t.node: t for t in tables}, [("A", 1)]) == (1 + 1) + (1 + 0 + 1)
+    assert free_parameters({t.node: t for t in tables}, [("A", 1)]) == (1 + 1) + (1 + 0 + 1)
     [evidence], (_, found) = BIC.evidence, judged(BIC, (frozenset(), 0))
     lane = np.where(DRIVE.is_crossing, -1, DRIVE.true_lane - 1)
     fit = ego.fit_tables(START, evidence, {"Lane": lane}, strength=1.0, iterations=50)

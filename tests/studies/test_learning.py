@@ -23,7 +23,7 @@ from egolane_pgm.studies.fits import (
     start_of_learning,
     training_of,
 )
-from egolane_pgm.studies.study import block_folds, run_study
+from egolane_pgm.studies.study import Work, block_folds, run_study
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import run, short_drive, simulated, write_drive
@@ -189,7 +189,7 @@ def test_learned_parameters_have_bounds_and_are_run_from_their_file(tmp_path: Pa
         "parameters": {"p1": 0.7, "sigma1": [0.2, 0.3], "bonus_value": 2},
     }
     one = drive_of(load_experiment(write_drive(tmp_path, 300, fit={**fit, "trials": 2})))
-    study = run_study([one], "learn", block_folds([one], 2), directory=tmp_path / "out")
+    study = run_study([one], "learn", block_folds([one], 2), work=Work(tmp_path / "out"))
     assert set(study.fitted) == {*NAMES, "bonus_value"}
     assert (study.fitted["p1"], study.fitted["bonus_value"]) == (0.7, 2)
     assert 0.2 <= float(str(study.fitted["sigma1"])) <= 0.3
@@ -241,7 +241,7 @@ def test_settings_of_learning_that_do_not_fit_are_refused(message: str) -> None:
 def test_a_learned_experiment_is_run_from_its_files(tmp_path: Path, labels: bool) -> None:
     one = drive_of(load_experiment(write_drive(tmp_path, 600, fit={"labels": labels})))
     out = tmp_path / "out"
-    study = run_study([one], "learn", block_folds([one], 3), directory=out)
+    study = run_study([one], "learn", block_folds([one], 3), work=Work(out))
     content = yaml.safe_load((out / "best.yaml").read_text())
     assert (content["graph"], content["tuned_on"]) == ("./best.graph.yaml", "same_frames")
     # The learned graph has no parameters; those of the rule stay.
@@ -255,7 +255,7 @@ def test_a_learned_experiment_is_run_from_its_files(tmp_path: Path, labels: bool
 
 
 def test_a_learned_graph_has_its_origin(tmp_path: Path) -> None:
-    run_study([drive()], "learn", [], directory=tmp_path / "out")
+    run_study([drive()], "learn", [], work=Work(tmp_path / "out"))
     graph = tmp_path / "out" / "best.graph.yaml"
     assert run(simulated(), graph=graph).run["tuned_on"] == "same_frames"
     other = simulated(recording=quickstart(3))

@@ -18,7 +18,7 @@ from egolane_pgm.studies.fits import search_space
 from egolane_pgm.studies.objective import beliefs_at, score_of
 from egolane_pgm.studies.profile import make_profile, values_of
 from egolane_pgm.studies.search import settings_of
-from egolane_pgm.studies.study import Study, run_study
+from egolane_pgm.studies.study import Study, Work, run_study
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, simulated, write_drive
@@ -31,8 +31,9 @@ HELD = dict.fromkeys(("p1", "p2", "p3", "p4", "sigma2"), 0.7)
 
 
 def profiled(drive: Drive, names: Any, trials: int = 30, **fit: Any) -> Study:
+    work = Work(fit.pop("directory", None))
     given = fitting(drive, trials=trials, **fit)
-    return run_study([given], "tune", [], profile=names, directory=fit.pop("directory", None))
+    return run_study([given], "tune", [], work, profile=names)
 
 
 def test_a_profile_finds_what_a_grid_of_the_other_parameters_finds() -> None:
@@ -112,7 +113,7 @@ def test_a_profile_of_several_drives_has_their_score(
 ) -> None:
     monkeypatch.setattr(module, "STEPS", 2)
     drives = [fitting(each, trials=10, parameters=HELD) for each in two_drives()]
-    study = run_study(drives, "tune", [], pooled=pooled)
+    study = run_study(drives, "tune", [], Work(pooled=pooled))
     tuning = settings_of(drives[0].experiment.fit)
     found = make_profile(drives, ["sigma1"], tuning, study.trials, pooled=pooled)
     assert found["score"].max() >= study.trials["accuracy"].max() - 1e-9

@@ -43,7 +43,7 @@ def position(_: Path) -> None:
     ("module", "file", "call", "words"),
     [
         ("bokeh", "a.html", page, "a page of results needs bokeh|page"),
-        ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
+        ("mcap", "a.mcap", exported, "an .mcap file needs mcap|mcap"),
         ("osmium", "a.osm", read_osm, "{} needs osmium|maps"),
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),
         ("pyproj", "", position, "a position on a map needs pyproj|maps"),

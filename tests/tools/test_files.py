@@ -12,6 +12,7 @@ import pytest
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
+    read_parquet,
     read_text,
     read_yaml,
     to_jsonable,
@@ -43,7 +44,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_writer_that_fails_leaves_what_was_there(
+def test_a_writer_that_fails_keeps_the_older_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     (tmp_path / name).write_text("before")
@@ -72,22 +73,24 @@ def test_a_text_is_read_without_the_mark_before_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"- 1", "needs keys and values, e.g. 'n_lanes: 4'"),
         (b"\xff\xfe\x00", "cannot be read: is not text in UTF-8"),
     ],
 )
-def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_file_that_is_not_yaml_is_refused_in_one_line(
+    tmp_path: Path, content: bytes, message: str
+) -> None:
     (tmp_path / "x.yaml").write_bytes(content)
     with pytest.raises(InputError, match=r"x\.yaml: ") as caught:
         read_yaml(tmp_path / "x.yaml", "n_lanes: 4")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (
             "n_lanes: 3\na: 1\nn_lanes: 4\n",
@@ -98,19 +101,30 @@ def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said
             "is not YAML: line 2: found character '\\t' that cannot start any token",
         ),
         ("a: *b", "is not YAML: line 1: found undefined alias 'b'"),
+        ('a: 1\nb: "a\\0b"', "is not YAML: line 2: a text contains a NUL character"),
+        ("a: " + "[" * 3000, "is not YAML: is nested too deeply"),
+        ("a: !!int ''", "is not YAML: string index out of range"),
     ],
 )
-def test_what_is_wrong_with_a_yaml_is_named_by_its_line(
-    tmp_path: Path, content: str, said: str
+def test_an_error_in_a_yaml_is_named_with_its_line(
+    tmp_path: Path, content: str, message: str
 ) -> None:
     path = tmp_path / "x.yaml"
     path.write_text(content)
     with pytest.raises(InputError) as caught:
         read_yaml(path, "n_lanes: 4")
-    assert str(caught.value) == f"{path}: {said}"
+    assert str(caught.value) == f"{path}: {message}"
 
 
-def test_what_is_stored_is_plain() -> None:
+@pytest.mark.parametrize("name", ["absent", "x" * 300, "a\0b"])
+def test_a_path_that_cannot_be_opened_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"cannot be read: (No such file|File name|embedded null)"):
+        read_text(tmp_path / name)
+    with pytest.raises(InputError, match="cannot be read as Parquet"):
+        read_parquet(tmp_path / name)
+
+
+def test_stored_values_are_plain() -> None:
     stored = to_jsonable({1: np.float32(0.5), "a": np.array([[1.0, np.nan], [np.inf, 2.0]])})
     assert stored == {"1": 0.5, "a": [[1.0, None], [None, 2.0]]}
     assert type(to_jsonable((np.int64(3),))[0]) is int

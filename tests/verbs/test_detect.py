@@ -102,8 +102,8 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
         ("", "-o l.txt", "lines are written as .parquet, .csv"),
         ("", "--camera nix.yaml", "nix.yaml: no such file"),
         ("", "--camera {0}/sky.yaml", "only 0 % of the road from"),
-        ("text.mp4", "", "is no video that can be read"),
-        ("empty.mp4", "", "is no video that can be read"),
+        ("text.mp4", "", "is not a video that can be read"),
+        ("empty.mp4", "", "is not a video that can be read"),
         ("nowhere.mp4", "", "nowhere.mp4: no such file"),
         ("*.png", "", "has no pictures"),
         (".", "", "has no pictures"),
@@ -161,7 +161,10 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
     rewritten(place / "run.yaml", tmp_path / "run.yaml", recording=recording)
     first = run(tmp_path / "run.yaml")
     assert first.frames.index.tolist() == [1, 2]
-    assert any("per second: 10 are assumed (recording.frame_rate" in note for note in first.notes)
+    assert any(
+        "10 pictures per second are assumed (set recording.frame_rate" in note
+        for note in first.notes
+    )
     data = first.run["data"]
     assert [Path(e["path"]).name for e in data] == ["pictures", "cam.yaml", "my_detector.py"]
     cv2.imwrite(str(folder / "0.png"), images(2)[1])
@@ -240,7 +243,7 @@ def test_a_camera_too_high_for_a_lorry_is_doubted_and_used(place: Path, tmp_path
 def test_pictures_without_a_rate_get_the_one_that_is_said(place: Path, tmp_path: Path) -> None:
     folder, target = write_pictures(tmp_path / "pictures", images(4)), tmp_path / "l.csv"
     words = ("detect", folder, "--camera", place / "cam.yaml", "-o", target)
-    assert "does not say its pictures per second: 10 are assumed" in done(*words).stderr
+    assert "has no frame rate: 10 pictures per second are assumed" in done(*words).stderr
     assert read_lines(target).time_s == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert "are assumed" not in done(*words, "--set", "recording.frame_rate=25").stderr
     assert read_lines(target).time_s == pytest.approx([0.0, 0.04, 0.08, 0.12])
@@ -250,16 +253,16 @@ def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
     place: Path, tmp_path: Path
 ) -> None:
     folder = write_pictures(tmp_path / "pictures", images(8))
-    (folder / "5.png").write_bytes(b"no picture")
+    (folder / "3.png").write_bytes(b"no picture")
     target = tmp_path / "l.csv"
-    said = refused("detect", folder, "--camera", place / "cam.yaml", "-o", target)
-    assert "5.png: is no picture that can be read" in said
-    assert f"the lines of the frames before are in {target}" in said
-    assert read_lines(target).frame_id.tolist() == [0, 1, 2, 3, 4]
+    words = ("detect", folder, "--camera", place / "cam.yaml", "-o", target)
+    assert "left out 1 of 8 frames whose picture cannot be read, first " in done(*words).stderr
+    assert read_lines(target).frame_id.tolist() == [0, 1, 2, 4, 5, 6, 7]
     assert cv2.imwrite(str(folder / "5.png"), images(1)[0][:100])
-    assert "frame 5: a picture of 480x100" in refused(
-        "detect", folder, "--camera", place / "cam.yaml", "-o", target
-    )
+    message = refused(*words)
+    assert "frame 5: a picture of 480x100" in message
+    assert f"the lines of the frames before are in {target}" in message
+    assert read_lines(target).frame_id.tolist() == [0, 1, 2, 4]
 
 
 def test_a_stereo_detector_gets_the_pictures_of_both_cameras(pair: Path) -> None:

@@ -30,7 +30,7 @@ def described(name: str, *, numbers: bool = False, n_lanes: int = 3) -> dict[str
         hidden=module.hidden,
         observed=module.observed,
         inputs=module.inputs,
-        values=module.VALUES if hasattr(module, "VALUES") else {},
+        values=module.values,
     )
     return {"name": name, **describe_graph(module, compiled, numbers=numbers)}
 

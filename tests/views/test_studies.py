@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from egolane_pgm.runs import open_input
-from egolane_pgm.studies.study import Study, block_folds, run_study
+from egolane_pgm.studies.study import Study, Work, block_folds, run_study
 from egolane_pgm.types import InputError
 from egolane_pgm.views.studies import (
     draw_study,
@@ -30,7 +30,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     recording, fit = {"simulate": "quickstart", "frames": [0, 400]}, {"sampler": "random"}
     drives = open_input(simulated(recording=recording, fit={**fit, "trials": 24})).drives()
     folder = tmp_path_factory.mktemp("study")
-    return run_study(drives, "tune", block_folds(drives, 2), directory=folder)
+    return run_study(drives, "tune", block_folds(drives, 2), work=Work(folder))
 
 
 def test_a_study_has_scores_in_sample_and_held_out_and_the_best_parameters(
@@ -94,7 +94,7 @@ def test_a_pareto_front_is_printed_and_drawn(tmp_path: Path) -> None:
     keys = {"recording": {"simulate": "quickstart", "frames": [0, 400]}}
     fit = {"objective": objectives, "trials": 60, "sampler": "random"}
     drives = open_input(simulated(fit=fit, **keys)).drives()
-    found = run_study(drives, "tune", [], directory=tmp_path)
+    found = run_study(drives, "tune", [], work=Work(tmp_path))
     values = found.trials[objectives].to_numpy() * [1, -1]
     beaten = [any((a >= b).all() and (a > b).any() for a in values) for b in values]
     front = pareto_front(found.trials, objectives)

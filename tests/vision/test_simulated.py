@@ -14,7 +14,7 @@ from egolane_pgm.vision.simulated import CAMERA, Paint, draw_road
 
 @pytest.mark.parametrize("yaw_deg", [0.0, -2.0])
 @pytest.mark.parametrize("roll_deg", [0.0, 3.0])
-def test_a_line_is_in_the_picture_where_the_camera_says_it_is(
+def test_a_line_is_in_the_picture_where_the_camera_projects_it(
     yaw_deg: float, roll_deg: float
 ) -> None:
     camera = replace(CAMERA, yaw_deg=yaw_deg, roll_deg=roll_deg)

@@ -28,7 +28,8 @@ def ransac_line(
     - least_points: the fewest points on a line
     - most_turn: the largest tangent of its angle with the columns
     """
-    best, line = -1.0, np.zeros(4)
+    best = -1.0
+    line = np.zeros(4)
     near = np.empty(len(point), dtype=np.bool_)
     for i in range(len(sample)):
         near[:] = False
@@ -36,24 +37,31 @@ def ransac_line(
             near[k] = True
         for again in range(2):
             # The line of least squared distances through the chosen points.
-            n, c, r = 0, 0.0, 0.0
+            n = 0
+            c = 0.0
+            r = 0.0
             for k in range(len(point)):
                 if near[k]:
                     n += 1
                     c += point[k, 0]
                     r += point[k, 1]
-            c, r = c / n, r / n
-            cc, cr, rr = 0.0, 0.0, 0.0
+            c = c / n
+            r = r / n
+            cc = 0.0
+            cr = 0.0
+            rr = 0.0
             for k in range(len(point)):
                 if near[k]:
                     cc += (point[k, 0] - c) ** 2
                     cr += (point[k, 0] - c) * (point[k, 1] - r)
                     rr += (point[k, 1] - r) ** 2
             turn = 0.5 * math.atan2(2 * cr, rr - cc)
-            across, along = math.sin(turn), math.cos(turn)
+            across = math.sin(turn)
+            along = math.cos(turn)
             if along <= 0 or abs(across) > most_turn * along or cc + rr == 0:
                 break
-            n, score = 0, 0.0
+            n = 0
+            score = 0.0
             for k in range(len(point)):
                 away = (point[k, 0] - c) * along - (point[k, 1] - r) * across
                 near[k] = abs(away) <= most_away
@@ -72,7 +80,10 @@ def ransac_line(
 def bezier(control: FloatArray, t: float) -> tuple[float, float]:
     """Column and row of a cubic Bezier spline, control points (4, 2), at the parameter t."""
     s = 1.0 - t
-    a, b, c, d = s * s * s, 3 * s * s * t, 3 * s * t * t, t * t * t
+    a = s * s * s
+    b = 3 * s * s * t
+    c = 3 * s * t * t
+    d = t * t * t
     return (
         a * control[0, 0] + b * control[1, 0] + c * control[2, 0] + d * control[3, 0],
         a * control[0, 1] + b * control[1, 1] + c * control[2, 1] + d * control[3, 1],
@@ -84,8 +95,10 @@ def straightness(control: FloatArray) -> float:
     """The mean cosine of the two angles between the three legs of the control points (4, 2)."""
     total = 0.0
     for k in range(2):
-        ac, ar = control[k + 1, 0] - control[k, 0], control[k + 1, 1] - control[k, 1]
-        bc, br = control[k + 2, 0] - control[k + 1, 0], control[k + 2, 1] - control[k + 1, 1]
+        ac = control[k + 1, 0] - control[k, 0]
+        ar = control[k + 1, 1] - control[k, 1]
+        bc = control[k + 2, 0] - control[k + 1, 0]
+        br = control[k + 2, 1] - control[k + 1, 1]
         size = math.sqrt((ac * ac + ar * ar) * (bc * bc + br * br))
         total += (ac * bc + ar * br) / size if size > 0 else 1.0
     return total / 2
@@ -110,18 +123,24 @@ def spline_score(
     - angle_ratio, length_ratio: a, b
     """
     n_rows, n_columns = ridge.shape
-    total, length = 0.0, 0.0
-    before_c, before_r = control[0, 0], control[0, 1]
-    last_c, last_r = -1, -1
+    total = 0.0
+    length = 0.0
+    before_c = control[0, 0]
+    before_r = control[0, 1]
+    last_c = -1
+    last_r = -1
     n = math.floor(1 / step + 0.5)
     for i in range(n + 1):
         c, r = bezier(control, i / n)
         length += math.hypot(c - before_c, r - before_r)
-        before_c, before_r = c, r
-        at_c, at_r = math.floor(c + 0.5), math.floor(r + 0.5)
+        before_c = c
+        before_r = r
+        at_c = math.floor(c + 0.5)
+        at_r = math.floor(r + 0.5)
         if (at_c == last_c and at_r == last_r) or not 0 <= at_r < n_rows:
             continue
-        last_c, last_r = at_c, at_r
+        last_c = at_c
+        last_r = at_r
         for beside in range(max(at_c - jitter, 0), min(at_c + jitter + 1, n_columns)):
             total += ridge[at_r, beside]
     less = angle_ratio * (straightness(control) - 1)
@@ -139,13 +158,17 @@ def bezier_through(point: FloatArray) -> FloatArray:
     for i in range(1, n):
         t[i] = t[i - 1] + math.hypot(point[i, 0] - point[i - 1, 0], point[i, 1] - point[i - 1, 1])
     control = np.empty((4, 2))
-    control[0], control[3] = point[0], point[n - 1]
-    bb, bc, cc = 0.0, 0.0, 0.0
+    control[0] = point[0]
+    control[3] = point[n - 1]
+    bb = 0.0
+    bc = 0.0
+    cc = 0.0
     right = np.zeros((2, 2))
     for i in range(1, n - 1):
         u = t[i] / t[n - 1] if t[n - 1] > 0 else 0.0
         s = 1.0 - u
-        b, c = 3 * s * s * u, 3 * s * u * u
+        b = 3 * s * s * u
+        c = 3 * s * u * u
         bb += b * b
         bc += b * c
         cc += c * c
@@ -178,14 +201,15 @@ def ransac_spline(
     length_ratio: float,
 ) -> tuple[FloatArray, float]:
     """The best of the splines through samples of points: control points (4, 2), and its score,
-    which is minus infinity if there is none.
+    minus infinity if no spline was found.
 
     - point: (N, 2), sorted by row
     - sample: (I, S) the points of each sample, ascending
     - least_straight: the least straightness of a spline
     - ridge, jitter, step, angle_ratio, length_ratio: as in `spline_score`
     """
-    best, control = -np.inf, np.zeros((4, 2))
+    best = -np.inf
+    control = np.zeros((4, 2))
     chosen = np.empty((sample.shape[1], 2))
     for i in range(len(sample)):
         for k in range(sample.shape[1]):

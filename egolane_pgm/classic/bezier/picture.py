@@ -13,14 +13,29 @@ from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 #: Half the width of a usual marking, metres: how far a profile is smoothed.
 _HALF_WIDTH_M = 0.075
 
-#: Points are moved so far to either side at most, pixels, and keep their direction to this cosine.
-_BESIDE, _KEPT = 10, 0.9
+#: Largest move of a point to either side, pixels.
+_BESIDE = 10
 
-#: The extension: its step, how far it looks to either side (pixels), and where it ends (metres
-#: ahead); the least cosine to the last step and to the mean direction; and the least contrast, as a
-#: share of the spline's.
-_STEP, _BESIDE_EXTENSION, _FARTHEST_M = 10.0, 20, 28.0
-_TURN, _TURN_OF_ALL, _CONTRAST = 0.86, 0.95, 0.35
+#: Least cosine between the directions of a point before and after its move.
+_KEPT = 0.9
+
+#: Step of the extension, pixels.
+_STEP = 10.0
+
+#: Reach of the extension's search to either side, pixels.
+_BESIDE_EXTENSION = 20
+
+#: Largest distance ahead of the extension, metres.
+_FARTHEST_M = 28.0
+
+#: Least cosine of the extension's direction to the last step.
+_TURN = 0.86
+
+#: Least cosine of the extension's direction to the mean direction.
+_TURN_OF_ALL = 0.95
+
+#: Least contrast of the extension, as a share of the spline's.
+_CONTRAST = 0.35
 
 
 def refined(grey: FloatArray, camera: Camera, point: FloatArray) -> FloatArray:
@@ -75,10 +90,12 @@ def _strip(
     sigma = np.maximum(np.abs(((right - left) * normal).sum(axis=1)) / 2, 0.5)
     seen = np.isfinite(profile)
     usable = np.isfinite(sigma) & (seen.sum(axis=1) > half)
-    place, contrast = np.full(len(point), np.nan), np.full(len(point), np.nan)
+    place = np.full(len(point), np.nan)
+    contrast = np.full(len(point), np.nan)
     if not usable.any():
         return place, contrast
-    level, sigma = profile[usable], sigma[usable, None, None]
+    level = profile[usable]
+    sigma = sigma[usable, None, None]
     level = np.where(seen[usable], level, np.nanmedian(level, axis=1)[:, None])
     ridge = ridge_weights((step[:, None] - step) / sigma)
     answer = (ridge @ level[:, :, None])[:, :, 0]
@@ -96,7 +113,8 @@ def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float
     """Points (E, 2) that continue points behind their last one, while strips are found that are
     bright enough and turn little."""
     mean = _unit((point[-1] - point[0])[None])[0]
-    at, along = point[-1], _unit((point[-1] - point[-2])[None])[0]
+    at = point[-1]
+    along = _unit((point[-1] - point[-2])[None])[0]
     found: list[FloatArray] = []
     while len(found) < 100:
         ahead = at + _STEP * along
@@ -111,7 +129,8 @@ def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float
         if turn @ along < _TURN or turn @ mean < _TURN_OF_ALL:
             break
         found.append(new)
-        at, along = new, turn
+        at = new
+        along = turn
     return np.array(found).reshape(-1, 2)
 
 

@@ -11,17 +11,32 @@ from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, make_view
 
-#: The near and the far edge of the view, metres ahead, and the focal length that larger pictures
-#: are brought to, pixels.
-NEAR_M, FAR_M, _FOCAL_PX = 4.0, 20.0, 618.8
+#: Near edge of the view, metres ahead.
+NEAR_M = 4.0
 
-#: Rows and columns of the view.
-_ROWS, _COLUMNS = 240, 320
+#: Far edge of the view, metres ahead.
+FAR_M = 20.0
 
-#: The smoothing along the road: its length and standard deviation, rows. The ridge filter across
-#: it: its reach to either side and standard deviation, columns.
-_SMOOTH_TAPS, _SMOOTH_SIGMA = 33, 8.0
-_RIDGE_REACH, _RIDGE_SIGMA = 4, 0.8
+#: Focal length that larger pictures are brought to, pixels.
+_FOCAL_PX = 618.8
+
+#: Rows of the view.
+_ROWS = 240
+
+#: Columns of the view.
+_COLUMNS = 320
+
+#: Length of the smoothing along the road, rows.
+_SMOOTH_TAPS = 33
+
+#: Standard deviation of the smoothing along the road, rows.
+_SMOOTH_SIGMA = 8.0
+
+#: Reach of the ridge filter across the road to either side, columns.
+_RIDGE_REACH = 4
+
+#: Standard deviation of the ridge filter, columns.
+_RIDGE_SIGMA = 0.8
 
 
 def smaller(camera: Camera) -> Camera:
@@ -36,7 +51,8 @@ def smaller(camera: Camera) -> Camera:
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
     """The view that the parameters ask for. Raises InputError as `make_view` does."""
     side = number(parameters, "side_m")
-    along_m, across_m = (FAR_M - NEAR_M) / _ROWS, 2 * side / _COLUMNS
+    along_m = (FAR_M - NEAR_M) / _ROWS
+    across_m = 2 * side / _COLUMNS
     return make_view(camera, NEAR_M, FAR_M, -side, side, along_m, across_m)
 
 
@@ -47,7 +63,7 @@ def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
     Grey levels count from 0 to 1, less their mean; `ridge_weights` make 1 the largest answer.
     """
     ridge = ridge_weights(np.arange(-_RIDGE_REACH, _RIDGE_REACH + 1) / _RIDGE_SIGMA)
-    # The edge of a black part of the picture (a covered lens) is no strip either.
+    # The edge of a black part of the picture (a covered lens) is not a strip either.
     wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
     lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
     lit[~view.valid] = 0

@@ -16,27 +16,54 @@ from egolane_pgm.classic.bezier import kernels
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
-#: Sums of columns: length and standard deviation of their smoothing, columns.
-_SCORE_TAPS, _SCORE_SIGMA = 21, 2.0
+#: Length of the smoothing of the sums of columns, columns.
+_SCORE_TAPS = 21
+
+#: Standard deviation of that smoothing, columns.
+_SCORE_SIGMA = 2.0
 
 #: First lines nearer than this are one, columns.
 _GROUP = 30.0
 
-#: RANSAC: samples, and points of each; columns to either side of a first line, and of a line.
-_SAMPLES, _POINTS = 40, 4
-_LINE_WINDOW, _SPLINE_WINDOW = 30.0, 20.0
+#: Number of samples of RANSAC.
+_SAMPLES = 40
 
-#: A line: its farthest and its fewest points, and the steepest one across the road.
-_LINE_AWAY, _LINE_POINTS, _MOST_TURN_DEG = 0.4, 10, 5.0
+#: Number of points of a sample.
+_POINTS = 4
 
-#: A spline: its least straightness and length (pixels), its largest turn (radians); then as
-#: `kernels.spline_score` takes them jitter, step, weight of straightness and of length.
-_STRAIGHT, _LENGTH, _TURN = 0.8, 30.0, 1.22
+#: Reach to either side of a first line, columns.
+_LINE_WINDOW = 30.0
+
+#: Reach to either side of a line, columns.
+_SPLINE_WINDOW = 20.0
+
+#: Farthest point of a line from it, columns.
+_LINE_AWAY = 0.4
+
+#: Fewest points of a line.
+_LINE_POINTS = 10
+
+#: Largest angle of a line with the columns, degrees.
+_MOST_TURN_DEG = 5.0
+
+#: Least straightness of a spline, from 0 to 1.
+_STRAIGHT = 0.8
+
+#: Least length of a spline, pixels.
+_LENGTH = 30.0
+
+#: Largest turn of a spline, radians.
+_TURN = 1.22
+
+#: The last arguments of `kernels.spline_score`: jitter, step, weights of straightness and length.
 _SCORING = (2, 0.01, 1.2, 1.5)
 
 #: Two splines are one if their chords, or the means along them, are nearer than these angles
-#: (radians) and distances (pixels), and their middles than this.
-_MERGE, _MERGE_CENTROID = ((0.1, 5.0), (0.2, 10.0)), 15.0
+#: (radians) and distances (pixels), ...
+_MERGE = ((0.1, 5.0), (0.2, 10.0))
+
+#: ... and their middles are nearer than this, pixels.
+_MERGE_CENTROID = 15.0
 
 #: Boxes that share more than this are one.
 _OVERLAP = 0.5
@@ -52,7 +79,7 @@ class Splines:
 
 
 def spline_finder(parameters: Parameters) -> Callable[[FloatArray], Splines]:
-    """Makes the function that finds splines in ridges (R, C). Each call takes the same random
+    """Make the function that finds splines in ridges (R, C). Each call takes the same random
     numbers, drawn here, so that a picture's splines do not depend on the pictures before."""
     rng = np.random.default_rng(0)
     line_draw, spline_draw = (rng.random((_SAMPLES, _POINTS)) for _ in range(2))
@@ -88,16 +115,19 @@ def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArra
     """Place and height (K,) of the local maxima of (C,) sums that are at least `least`, each moved
     to the top of the parabola through it and its neighbours."""
     padded = np.pad(total, 1)
-    left, middle, right = padded[:-2], padded[1:-1], padded[2:]
+    left = padded[:-2]
+    middle = padded[1:-1]
+    right = padded[2:]
     peak = np.flatnonzero((middle > left) & (middle >= right) & (middle >= max(least, 1e-9)))
     bend = left[peak] - 2 * middle[peak] + right[peak]
     return peak + (left[peak] - right[peak]) / (2 * bend), middle[peak]
 
 
 def _grouped(lines: FloatArray) -> FloatArray:
-    """Makes one of the two nearest lines, by their mean weighted by score, until none are nearer
-    than `_GROUP` columns on the average of both ends."""
-    end, score = lines[:, :2].copy(), lines[:, 2].copy()
+    """Merge the two nearest lines into their mean, weighted by score, until none are nearer than
+    `_GROUP` columns on the average of both ends."""
+    end = lines[:, :2].copy()
+    score = lines[:, 2].copy()
     while len(score) > 1:
         away = np.abs(end[:, None] - end).mean(axis=2)
         away[np.diag_indices(len(score))] = np.inf
@@ -106,7 +136,8 @@ def _grouped(lines: FloatArray) -> FloatArray:
             break
         end[i] = (score[i] * end[i] + score[j] * end[j]) / (score[i] + score[j])
         score[i] += score[j]
-        end, score = np.delete(end, j, axis=0), np.delete(score, j)
+        end = np.delete(end, j, axis=0)
+        score = np.delete(score, j)
     return np.column_stack([end, score])
 
 
@@ -173,7 +204,8 @@ def _fitted_splines(
     ridge: FloatArray,
 ) -> Splines:
     """The RANSAC spline of each box that has one."""
-    control, score = np.zeros((len(boxes), 4, 2)), np.full(len(boxes), -np.inf)
+    control = np.zeros((len(boxes), 4, 2))
+    score = np.full(len(boxes), -np.inf)
     for k, (left, right) in enumerate(boxes):
         inside = (point[:, 0] >= left) & (point[:, 0] <= right)
         if inside.sum() < draw.shape[1]:

@@ -8,12 +8,12 @@ energy of a group's assignment is
 
     E = sum over links of (-u if on, else -(1 - u)) + (-c if any link is on, else -1/2)
 
-where a seed has at most one link from above and one from below. c = exp(-(MSE / 50)^2) of a cubic
+A seed has at most one link from above and one from below. c = exp(-(MSE / 50)^2) of a cubic
 through the markings of a chain of linked seeds, for the worst chain of the group. At 1/2 a curve is
 as likely wrong as right, so assignments with a worse one are not considered; all off always is.
 
-The last step of the public code, which merges linked seeds, reads the label of another link than
-the one that it merges. That is mended here: each link is merged by its own label.
+The last step of the public code, which merges linked seeds, reads the label of a wrong link. That
+is mended here: each link is merged by its own label.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ from egolane_pgm.classic.multilane.road import Road
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: Largest errors of a candidate link, sums over both its ends: pixels, degrees.
-FARTHEST, STEEPEST = 65.0, 80.0
+#: Largest distance error of a candidate link, the sum over both its ends, pixels.
+FARTHEST = 65.0
+
+#: Largest direction error of a candidate link, the sum over both its ends, degrees.
+STEEPEST = 80.0
 
 #: The unary probability of a link with errors x (pixels) and y (degrees) is the logistic function
 #: of a x^2 + b x y + c y^2 + d x + e y + f.
@@ -40,9 +43,12 @@ UNARY = (0.000140047, 0.001069285, -0.000263005, -0.283444141, -0.255786389, 24.
 #: The mean squared error at which a curve's quality is exp(-1), square pixels.
 SPREAD = 50.0
 
-#: A link is beyond doubt if exp(-d^2), added up over both its ends, is more than this and no other
-#: link of either seed reaches it; and the error that is d = 1, pixels.
-CERTAIN, CERTAIN_PX = 1.96, 20.0
+#: A link is certain if exp(-d^2), added up over both its ends, is more than this and no other link
+#: of either seed reaches it.
+CERTAIN = 1.96
+
+#: The error for which d = 1, pixels.
+CERTAIN_PX = 20.0
 
 #: Number of markings at an end of a seed that give its direction there.
 END = 30
@@ -85,13 +91,13 @@ def join_seeds(markings: Markings, road: Road, exact_up_to: int) -> Markings:
 
 
 def candidate_links(markings: Markings, road: Road) -> Links:
-    """All pairs of seeds that might belong to one line, by the two gates."""
+    """Return all pairs of seeds that might belong to one line, by the two gates."""
     end = max(2, round(END * road.row_scale))
     return Links(*pairs(markings.row, markings.u, markings.starts, end, FARTHEST * road.scale))
 
 
 def certain(links: Links, scale: float) -> BoolArray:
-    """Which links, (K,), are beyond doubt: good, and the only good one of both seeds."""
+    """Mark the links, (K,), that are certain: good, and the only good one of both seeds."""
     good = np.exp(-((links.apart / (CERTAIN_PX * scale)) ** 2)).sum(axis=1) > CERTAIN
     n_above = np.bincount(links.above[good], minlength=links.above.max(initial=-1) + 1)
     n_below = np.bincount(links.below[good], minlength=links.below.max(initial=-1) + 1)
@@ -102,7 +108,8 @@ def certain(links: Links, scale: float) -> BoolArray:
 def unary(links: Links, scale: float) -> FloatArray:
     """The probability (K,) of each link alone."""
     a, b, c, d, e, f = UNARY
-    x, y = links.apart.sum(axis=1) / scale, links.turn
+    x = links.apart.sum(axis=1) / scale
+    y = links.turn
     exponent = a * x * x + b * x * y + c * y * y + d * x + e * y + f
     probability: FloatArray = 1 / (1 + np.exp(-exponent))
     return probability
@@ -123,7 +130,7 @@ def power_sums(markings: Markings, scale: float) -> FloatArray:
 
 
 def infer(links: Links, probability: FloatArray, sums: FloatArray, exact_up_to: int) -> BoolArray:
-    """Which links, (K,), are on.
+    """Return the links, (K,), that are on.
 
     - probability: (K,) `unary`
     - sums: (S, 12) `power_sums`
@@ -173,14 +180,17 @@ def pairs(
     place = np.empty((n_seeds, 2, 3))
     for s in range(n_seeds):
         for tail in range(2):
-            first, stop = starts[s], starts[s + 1]
+            first = starts[s]
+            stop = starts[s + 1]
             if tail:
                 first = max(first, stop - end)
             else:
                 stop = min(stop, first + end)
             n = stop - first
-            v_mean, u_mean = row[first:stop].mean(), u[first:stop].mean()
-            vv, vu = 1e-9, 0.0
+            v_mean = row[first:stop].mean()
+            u_mean = u[first:stop].mean()
+            vv = 1e-9
+            vu = 0.0
             for i in range(first, stop):
                 vv += (row[i] - v_mean) ** 2
                 vu += (row[i] - v_mean) * (u[i] - u_mean)
@@ -207,8 +217,10 @@ def pairs(
             angles = abs(lean - math.atan(place[i, 1, 2])) + abs(lean - math.atan(place[j, 0, 2]))
             if math.degrees(angles) > STEEPEST:
                 continue
-            above[k], below[k] = i, j
-            apart[k, 0], apart[k, 1] = miss_above, miss_below
+            above[k] = i
+            below[k] = j
+            apart[k, 0] = miss_above
+            apart[k, 1] = miss_below
             turn[k] = math.degrees(angles)
             k += 1
     return above[:k].copy(), below[:k].copy(), apart[:k].copy(), turn[:k].copy()
@@ -253,7 +265,8 @@ def energy(
     - above, below, probability: (K,) the seeds of each link, and `unary`
     - sums: (S, 12) `power_sums`
     """
-    n_links, n_seeds = len(above), len(sums)
+    n_links = len(above)
+    n_seeds = len(sums)
     down = np.full(n_seeds, -1, dtype=np.int64)
     has_above = np.zeros(n_seeds, dtype=np.bool_)
     total = 0.0
@@ -310,7 +323,8 @@ def forced_in_turn(
             to_below[below[k]] = True
         here = energy(is_on, above, below, probability, sums)
         if here < least:
-            best, least = is_on, here
+            best = is_on
+            least = here
     return best
 
 
@@ -328,5 +342,6 @@ def least_energy(
             is_on[k] = (number >> k) & 1
         here = energy(is_on, above, below, probability, sums)
         if here < least:
-            best, least = is_on.copy(), here
+            best = is_on.copy()
+            least = here
     return best

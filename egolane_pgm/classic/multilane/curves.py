@@ -33,7 +33,8 @@ def fit(t: FloatArray, u: FloatArray, degree: int, prior: FloatArray | None = No
     in each of ROWS; None suffices where the points determine the curve well."""
     weight = np.ones(len(t))
     if prior is not None:
-        t, u = np.concatenate([t, ROWS]), np.concatenate([u, value(prior, ROWS)])
+        t = np.concatenate([t, ROWS])
+        u = np.concatenate([u, value(prior, ROWS)])
         weight = np.concatenate([weight, np.full(len(ROWS), np.sqrt(PRIOR))])
     design = t[:, None] ** np.arange(degree + 1) * weight[:, None]
     curve = np.zeros(3)
@@ -65,7 +66,8 @@ def best_curve(
 
     - chosen: (I, 3) the points of each trial; the first degree + 1 are used
     """
-    best, most = np.zeros(3), 0
+    best = np.zeros(3)
+    most = 0
     for k in range(len(chosen)):
         i, j, m = chosen[k]
         if t[i] == t[j]:
@@ -83,13 +85,15 @@ def best_curve(
             if abs(u[p] - a - t[p] * (b + c * t[p])) <= error:
                 n += 1
         if n > most:
-            best[0], best[1], best[2] = a, b, c
+            best[0] = a
+            best[1] = b
+            best[2] = c
             most = n
     return best, most
 
 
 def common_motion(before: FloatArray, now: FloatArray) -> FloatArray:
-    """How the road moved in the picture from one frame to the next, as the curve q + r t that is
+    """Return the motion of the road in the picture between two frames, as the curve q + r t that is
     added to each curve; from L curves, (L, 3), before and now.
 
     A homography of the road that takes each row of the picture to itself is u' = p u + q + r t, and
@@ -106,7 +110,7 @@ def parallel(
 ) -> FloatArray:
     """The curve parallel to another one on the road, (3,), that is nearest to F points.
 
-    - pixels_per_m: (2,) what a metre across is at t = 0, and its change with t, pixels
+    - pixels_per_m: (2,) length of a metre across at t = 0, and its change with t, pixels
     """
     scale = pixels_per_m[0] + pixels_per_m[1] * t
     away = float(scale @ (u - value(curve, t)) / (scale @ scale))

@@ -19,8 +19,11 @@ FILTER = (3.0, 9.0)
 #: An edge is a step of more than this share of the darker side, plus this number of grey levels.
 EDGE = (0.2, 5.0)
 
-#: A marking continues a seed: largest squared distance, pixels, and change of direction, radians.
-NEAR, TURN = 90.0, 0.8
+#: Largest squared distance of a marking that continues a seed, square pixels.
+NEAR = 90.0
+
+#: Largest change of direction of a marking that continues a seed, radians.
+TURN = 0.8
 
 #: Weight of a seed's direction so far against its last step.
 KEPT = 0.8
@@ -31,7 +34,7 @@ LEAST = 5
 
 @dataclass(frozen=True)
 class Markings:
-    """The N markings of a picture, top to bottom, those of one seed together.
+    """The N markings of a picture, grouped by seed, each seed from top to bottom.
 
     - row, left, right: (N,) pixels
     - starts: (S + 1,) where each of the S seeds begins, and N
@@ -48,7 +51,7 @@ class Markings:
         return (self.left + self.right) / 2
 
     def points(self, road: Road) -> tuple[FloatArray, FloatArray]:
-        """t and the column, (N,) each, of the markings, without lens distortion."""
+        """Return t and the column, (N,) each, of the markings, without lens distortion."""
         return flattened(road, self.row, self.u)
 
     @property
@@ -61,7 +64,7 @@ class Markings:
 
 
 def grouped(row: FloatArray, left: FloatArray, right: FloatArray, group: IntArray) -> Markings:
-    """Markings (N,) with those of one group, also (N,), together; negative groups are left out."""
+    """Sort markings (N,) by their groups (N,) and leave out negative groups."""
     order = np.lexsort((row, group))
     order = order[group[order] >= 0]
     starts = np.flatnonzero(np.diff(group[order], prepend=-1, append=-1))
@@ -75,7 +78,9 @@ def find_markings(grey: NDArray[np.uint8], road: Road) -> Markings:
     row, left, right = edge_pairs(grey, road.top, road.narrowest, road.widest, road.scale)
     if road.camera.ignore:
         is_road = ~is_ignored(road, (left + right) / 2, row)
-        row, left, right = row[is_road], left[is_road], right[is_road]
+        row = row[is_road]
+        left = left[is_road]
+        right = right[is_road]
     seed = seeds_of(row, left, right, NEAR * road.scale**2, TURN, KEPT)
     is_long = np.bincount(seed, minlength=1)[seed] >= max(2, round(LEAST * road.row_scale))
     return grouped(row.astype(np.float64), left, right, np.where(is_long, seed, -1))
@@ -85,15 +90,16 @@ def find_markings(grey: NDArray[np.uint8], road: Road) -> Markings:
 def edge_pairs(
     grey: NDArray[np.uint8], top: int, narrowest: FloatArray, widest: FloatArray, scale: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Rows and the left and right edges, (N,) each, pixels, of what is brighter than both sides and
-    as wide as a marking.
+    """Find the rows and the left and right edges, (N,) each, pixels, of stripes that are brighter
+    than both sides and as wide as a marking.
 
     - grey: (H, W)
     - top: the first row that is searched
     - narrowest, widest: (R,) limits of a marking's width in the rows from `top` on, pixels
     - scale: of the filter's size
     """
-    width, n_rows = grey.shape[1], len(narrowest)
+    width = grey.shape[1]
+    n_rows = len(narrowest)
     most = n_rows * (width // 2 + 1)
     row = np.empty(most, dtype=np.int64)
     left = np.empty(most)
@@ -106,7 +112,8 @@ def edge_pairs(
         for x in range(width):
             total[x + 1] = total[x] + grey[v, x]
         rising = -1.0
-        begin, sign = 0, 0
+        begin = 0
+        sign = 0
         for x in range(h, width - h + 2):
             here = 0
             if x <= width - h:
@@ -126,7 +133,8 @@ def edge_pairs(
                     right[n] = middle
                     n += 1
                 rising = -1.0
-            begin, sign = x, here
+            begin = x
+            sign = here
     return row[:n].copy(), left[:n].copy(), right[:n].copy()
 
 
@@ -148,11 +156,14 @@ def seeds_of(
     count = np.zeros(n, dtype=np.int64)
     # Seeds before `oldest` are too far above to be continued; they are in the order of their start,
     # not of their end, so this only shortens the search.
-    oldest, n_seeds = 0, 0
+    oldest = 0
+    n_seeds = 0
     for i in range(n):
         while oldest < n_seeds and (row[i] - row[last[oldest]]) ** 2 >= near:
             oldest += 1
-        best, least, leans = -1, near, 0.0
+        best = -1
+        least = near
+        leans = 0.0
         for s in range(oldest, n_seeds):
             j = last[s]
             down = float(row[i] - row[j])
@@ -162,7 +173,9 @@ def seeds_of(
             square = across * across + down * down
             lean = math.atan2(across, down)
             if square < least and (count[s] < 2 or abs(lean - direction[s]) < turn):
-                best, least, leans = s, square, lean
+                best = s
+                least = square
+                leans = lean
         if best < 0:
             best = n_seeds
             n_seeds += 1

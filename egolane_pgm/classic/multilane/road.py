@@ -11,15 +11,23 @@ from egolane_pgm.classic.multilane import curves
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
 
-#: Width of the pictures that the constants in pixels are meant for, and how many of their rows are
-#: searched; for others the constants are scaled.
-WIDTH, ROWS = 1280, 454
+#: Width of the pictures that the constants in pixels are meant for; they are scaled for others.
+WIDTH = 1280
 
-#: Fewer rows than this, of ROWS, show too little of the road; and fewer than this anyway.
-_FEWEST_ROWS, _FEWEST = 60, 8
+#: Number of rows of such a picture that are searched.
+ROWS = 454
 
-#: The narrowest and the widest marking where it is small, pixels.
-_NARROWEST, _WIDEST = 3.0, 15.0
+#: Least number of rows, of ROWS, that show enough of the road.
+_FEWEST_ROWS = 60
+
+#: Least number of rows of any picture.
+_FEWEST = 8
+
+#: Width of the narrowest marking where it is small, pixels.
+_NARROWEST = 3.0
+
+#: Width of the widest marking where it is small, pixels.
+_WIDEST = 15.0
 
 #: The rows of a curve that become a line on the road, t.
 _T = np.linspace(-1.0, 1.0, 101)
@@ -29,7 +37,7 @@ _T = np.linspace(-1.0, 1.0, 101)
 class Road:
     """The part of a camera's pictures that is searched.
 
-    - top, bottom: its first row, and the one after its last
+    - top, bottom: its first row, and the row after its last
     - narrowest, widest: (R,) limits of a marking's width in each of its rows, pixels
     """
 
@@ -56,7 +64,7 @@ class Road:
 
     @property
     def pixels_per_m(self) -> FloatArray:
-        """What a metre across the road is at t = 0, and its change with t, (2,), pixels."""
+        """Length of a metre across the road at t = 0, and its change with t, (2,), pixels."""
         sides = np.array([[0.0], [self.camera.width]])
         rows = self.middle + np.array([-self.half / 2, self.half])
         y = image_to_road(self.camera, sides, rows, undistorted=True)[1]
@@ -77,7 +85,8 @@ def road_of(camera: Camera, reach_m: float, narrowest_m: float, widest_m: float)
     """
     row = float(road_to_image(camera, reach_m, camera.lateral_m)[1])
     top = camera.height if np.isnan(row) else int(np.clip(np.ceil(row), 0, camera.height))
-    scale, n_rows = camera.width / WIDTH, camera.height - top
+    scale = camera.width / WIDTH
+    n_rows = camera.height - top
     if n_rows < max(_FEWEST, _FEWEST_ROWS * scale):
         raise InputError(
             f"camera: only {n_rows} rows of the picture show the road up to {reach_m:g} m ahead;"
@@ -96,14 +105,14 @@ def road_of(camera: Camera, reach_m: float, narrowest_m: float, widest_m: float)
 
 
 def flattened(road: Road, v: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """t and the column, (N,) each, of points in row v and column u, without lens distortion."""
+    """Return t and the column of points in row v and column u, (N,), without lens distortion."""
     if road.camera.is_distorted:
         u, v = undistorted(road.camera, u, v)
     return (v - road.middle) / road.half, u
 
 
 def is_ignored(road: Road, u: FloatArray, v: FloatArray) -> BoolArray:
-    """Which points, (N,), are in rectangles of the picture that never show road."""
+    """Mark the points, (N,), in rectangles of the picture that never show road."""
     inside: BoolArray = np.zeros(len(u), dtype=bool)
     for left, top, right, bottom in road.camera.ignore:
         inside |= (left <= u) & (u < right) & (top <= v) & (v < bottom)
@@ -117,8 +126,8 @@ def places_of(road: Road, curve: FloatArray) -> FloatArray:
 
 
 def shapes_of(road: Road, curve: FloatArray) -> FloatArray:
-    """The lines (L, 4) on the road, as FrameLines has them, that curves (L, 3) show: straight lines
-    and parabolas, fitted to what the picture shows of them."""
+    """Fit straight lines and parabolas on the road, (L, 4) with the fields of FrameLines, to the
+    part of curves (L, 3) in the picture."""
     shape = np.zeros((len(curve), 4))
     for k, one in enumerate(curve):
         u = curves.value(one, _T)

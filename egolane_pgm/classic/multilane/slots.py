@@ -35,25 +35,43 @@ SAME_M = 0.4
 #: Of two such lines next to the car, one this much farther away, metres, needs e times the frames.
 NEARER_M = 5.0
 
-#: Trials of a robust fit, and the largest distance of its points, pixels.
-TRIALS, ERROR = 15, 6.0
+#: Number of trials of a robust fit.
+TRIALS = 15
 
-#: Number of curves tried around a predicted one, and standard deviation of their places, pixels.
-DRAWS, NOISE = 200, 20.0
+#: Largest distance of the points of a robust fit, pixels.
+ERROR = 6.0
 
-#: The fewest markings of a fit, and the least share of those near the line's last place.
-FEWEST, HELD = 10, 0.5
+#: Number of curves tried around a predicted one.
+DRAWS = 200
 
-#: The fewest markings of a clear line, and the least part of t that they span. With half as many
-#: markings the edges of a car next to the line pull it away.
-LONG, SPAN = 120, 0.6
+#: Standard deviation of the places of these curves, pixels.
+NOISE = 20.0
 
-#: The weight of the direction of the nearest clear line in that of a line that is not clear; the
-#: rest is the line's own direction before.
+#: The fewest markings of a fit.
+FEWEST = 10
+
+#: The least share of the markings of a fit near the line's last place.
+HELD = 0.5
+
+#: The fewest markings of a clear line. With half as many markings the edges of a car next to the
+#: line pull it away.
+LONG = 120
+
+#: The least part of t that the markings of a clear line span.
+SPAN = 0.6
+
+#: Weight of the nearest clear line in the direction of a line that is not clear; the rest is the
+#: line's own direction before.
 PARALLEL = 0.2
 
-#: The narrowest and the widest lane, and the largest distance of a line that is followed, metres.
-LEAST_M, WIDEST_LANE_M, FARTHEST_M = 2.0, 5.0, 12.0
+#: The narrowest lane, metres.
+LEAST_M = 2.0
+
+#: The widest lane, metres.
+WIDEST_LANE_M = 5.0
+
+#: Largest distance of a line that is followed, metres.
+FARTHEST_M = 12.0
 
 #: A line has passed under the car when it is this far on the other side, metres.
 ACROSS_M = 0.25
@@ -76,7 +94,7 @@ class Slots:
 
     @property
     def is_used(self) -> BoolArray:
-        """Which slots hold a line, (6,)."""
+        """Mark the slots that hold a line, (6,)."""
         used: BoolArray = np.isfinite(self.curve[:, 0])
         return used
 
@@ -117,20 +135,24 @@ def advance(
     - found: (C, 3) the curves that are found in it without tracking
     - most: the largest number of slots with a line
     """
-    curve, is_clear = slots.curve.copy(), np.zeros(len(PLACES), dtype=bool)
+    curve = slots.curve.copy()
+    is_clear = np.zeros(len(PLACES), dtype=bool)
     for k in np.flatnonzero(slots.is_used):
         draws = rng.random((TRIALS, 3))
         new = _clear(road, t, u, curve[k], draws)
         if new is not None:
-            curve[k], is_clear[k] = new, True
-    clear, is_hit = curve[is_clear], is_clear.copy()
+            curve[k] = new
+            is_clear[k] = True
+    clear = curve[is_clear]
+    is_hit = is_clear.copy()
     motion = curves.common_motion(slots.curve[is_clear], clear)
     for k in np.flatnonzero(slots.is_used & ~is_clear):
         curve[k] += motion
         noise = rng.normal(0.0, NOISE * road.scale, (DRAWS, 2))
         new = _predicted(road, t, u, curve[k], clear, noise)
         if new is not None:
-            curve[k], is_hit[k] = new, True
+            curve[k] = new
+            is_hit[k] = True
     hits = np.concatenate([slots.hits[:, 1:], is_hit[:, None]], axis=1)
     recent = (*slots.recent, found)[-BOOTSTRAP:]
     slots = _without_lost(Slots(curve, hits, slots.left, recent), road)
@@ -138,7 +160,7 @@ def advance(
 
 
 def _near(road: Road, t: FloatArray, u: FloatArray, curve: FloatArray) -> BoolArray:
-    """Which points, (F,), are within two of the widest markings of a curve."""
+    """Mark the points, (F,), within two of the widest markings of a curve."""
     reach = 2 * np.interp(t, np.linspace(-1, 1, len(road.widest)), road.widest)
     near: BoolArray = np.abs(u - curves.value(curve, t)) <= reach
     return near
@@ -159,7 +181,8 @@ def _clear(
     near = _near(road, t, u, before)
     if near.sum() < LONG * road.row_scale:
         return None
-    t, u = t[near], u[near]
+    t = t[near]
+    u = u[near]
     held, degree = curves.consensus(t, u, draws, ERROR * road.scale)
     if held.sum() < max(HELD * len(t), LONG * road.row_scale) or np.ptp(t[held]) < SPAN:
         return None
@@ -183,11 +206,13 @@ def _predicted(
     near = _near(road, t, u, before)
     if near.sum() < FEWEST * road.row_scale:
         return None
-    t, u = t[near], u[near]
+    t = t[near]
+    u = u[near]
     held = curves.nearby(t, u, before, noise, ERROR * road.scale)
     if held.sum() < max(HELD * len(t), FEWEST * road.row_scale):
         return None
-    t, u = t[held], u[held]
+    t = t[held]
+    u = u[held]
     prior = curves.parallel(t, u, before, road.pixels_per_m)
     if len(clear):
         nearest = clear[np.abs(clear[:, 0] - before[0]).argmin()]
@@ -197,7 +222,7 @@ def _predicted(
 
 
 def _without_lost(slots: Slots, road: Road) -> Slots:
-    """Frees the slots whose line was not seen for long, is too far away or overlaps another."""
+    """Free the slots whose line was not seen for long, is too far away or overlaps another."""
     place = places_of(road, slots.curve)
     lost = (slots.counter == 0) | ~(np.abs(place) <= FARTHEST_M)
     kept = [k for k in map(slots.at, sorted(PLACES)) if not lost[k]]
@@ -208,7 +233,7 @@ def _without_lost(slots: Slots, road: Road) -> Slots:
 
 
 def _turned(slots: Slots, road: Road, most: int) -> Slots:
-    """Turns the ring if a line has passed under the car, and frees slots outside all PLACES."""
+    """Turn the ring if a line has passed under the car, and free slots outside all PLACES."""
     offset = np.full(len(PLACES), np.nan)
     offset[slots.is_used] = shapes_of(road, slots.curve[slots.is_used])[:, 0]
     to_left = [k for k in PLACES if k > 0 and offset[slots.at(k)] < -ACROSS_M]
@@ -221,13 +246,14 @@ def _turned(slots: Slots, road: Road, most: int) -> Slots:
 
 
 def _filled(slots: Slots, road: Road, most: int) -> Slots:
-    """Fills free slots from the curves of the last frames."""
+    """Fill free slots from the curves of the last frames."""
     if len(slots.recent) < BOOTSTRAP:
         return slots
     found = np.concatenate(slots.recent)
     frame: IntArray = np.repeat(np.arange(BOOTSTRAP), [len(few) for few in slots.recent])
     place = places_of(road, found)
-    curve, hits = slots.curve.copy(), slots.hits.copy()
+    curve = slots.curve.copy()
+    hits = slots.hits.copy()
     for where in PLACES[:most]:
         slot = slots.at(where)
         if np.isfinite(curve[slot, 0]):
@@ -260,11 +286,13 @@ def _often_seen(
     - fits: (C,) which ones are considered
     - prefers_near: whether lines close to the car count more
     """
-    best, most = None, (0.0, 0)
+    best = None
+    most = (0.0, 0)
     for k in np.flatnonzero(fits):
         same = fits & (np.abs(place - place[k]) <= SAME_M)
         n_frames = len(np.unique(frame[same]))
         weight = n_frames * np.exp(-abs(place[k]) / NEARER_M) if prefers_near else n_frames
         if n_frames >= SEEN and (weight, frame[k]) > most:
-            best, most = int(k), (float(weight), int(frame[k]))
+            best = int(k)
+            most = (float(weight), int(frame[k]))
     return best

@@ -25,9 +25,13 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 #: now and then report larger numbers, from uninitialised memory.
 FULL_SHARE = 0.95
 
-#: A flag is used if its share of the lines is between these. In the paper's recordings at
-#: least two thirds of the lines are valid, and at most a fifth of these are continuous.
-LEAST_VALID, LEAST_CONTINUOUS, MOST_CONTINUOUS = 0.1, 0.01, 0.9
+#: The least share of valid lines for the flag to be used: two thirds in the paper's recordings.
+LEAST_VALID = 0.1
+
+#: The least and the largest share of continuous lines for the flag to be used: at most a fifth in
+#: the paper's recordings.
+LEAST_CONTINUOUS = 0.01
+MOST_CONTINUOUS = 0.9
 
 #: The least share of distinct values for offsets that do not repeat by chance.
 LEAST_DISTINCT = 0.5
@@ -96,7 +100,8 @@ def count_lines(logs: Sequence[Columns]) -> LineCounts:
     """Count the lines of one or several logs."""
     offset_m, is_valid, is_continuous, lri = map(np.concatenate, zip(*logs, strict=True))
     placed = is_placed(offset_m)
-    valid, continuous = placed & is_valid, placed & is_continuous
+    valid = placed & is_valid
+    continuous = placed & is_continuous
     known = np.isfinite(lri)
     flags = (placed, valid, continuous, valid & continuous)
     return LineCounts(

@@ -69,21 +69,28 @@ def follow_lines(
     """
     n_frames, n_lines = offset_m.shape
     moves = np.empty(n_lines)
-    is_held = np.zeros((n_frames, n_lines), dtype=np.bool_)
-    displacement = np.full(n_frames, np.nan)
+    is_held = np.empty((n_frames, n_lines), dtype=np.bool_)
+    displacement = np.empty(n_frames)
     steps = np.empty(n_frames, dtype=np.int64)
     for t in range(n_frames):
-        farthest_m, reach_m = farthest * width_m[t], reach * width_m[t]
+        farthest_m = farthest * width_m[t]
+        reach_m = reach * width_m[t]
+        displacement[t] = np.nan
         for i in range(n_lines):
+            is_held[t, i] = False
             if not abs(offset_m[t, i]) < farthest_m:
                 kind[t, i] = -1
         if t == 0:
-            before_m, before_kind, before_lri = last.offset_m, last.kind, last.lri
+            before_m = last.offset_m
+            before_kind = last.kind
+            before_lri = last.lri
             before_held = last.is_held
             steps[t] = frame_id[t] - last.frame_id if last.state >= 0 else 1
             follows = last.state == 1
         else:
-            before_m, before_kind, before_lri = offset_m[t - 1], kind[t - 1], lri[t - 1]
+            before_m = offset_m[t - 1]
+            before_kind = kind[t - 1]
+            before_lri = lri[t - 1]
             before_held = is_held[t - 1]
             steps[t] = frame_id[t] - frame_id[t - 1]
             follows = not is_missing[t - 1]
@@ -121,10 +128,19 @@ def follow_lines(
                     if abs(offset_m[t, other] - before_m[match]) < nearest:
                         is_mutual = False
                 if is_mutual:
-                    moves[n_moves] = offset_m[t, i] - before_m[match]
+                    move = offset_m[t, i] - before_m[match]
+                    # In rising order; numba takes seconds to compile `np.median`.
+                    at = n_moves
+                    while at > 0 and moves[at - 1] > move:
+                        moves[at] = moves[at - 1]
+                        at -= 1
+                    moves[at] = move
                     n_moves += 1
             if n_moves:
-                displacement[t] = np.median(moves[:n_moves]) / width_m[t]
+                middle = moves[n_moves // 2]
+                if n_moves % 2 == 0:
+                    middle = (moves[n_moves // 2 - 1] + middle) / 2
+                displacement[t] = middle / width_m[t]
                 break
     return is_held, displacement, steps
 
@@ -143,7 +159,8 @@ def coast(
     - first: the velocity before the first frame
     """
     velocity = np.empty(len(displacement) + 1)
-    velocity[0] = now = first
+    now = first
+    velocity[0] = now
     for t in range(len(displacement)):
         if steps[t] == 1 and abs(displacement[t]) < farthest:
             now += (displacement[t] - now) / INERTIA
@@ -187,12 +204,15 @@ def find_doubles(
     listed first.
     """
     n_frames, n_lines = offset_m.shape
-    is_double = np.zeros((n_frames, n_lines), dtype=np.bool_)
+    is_double = np.empty((n_frames, n_lines), dtype=np.bool_)
     lines = np.empty((n_frames + 1, 2), dtype=np.int64)
-    lines[0] = before
+    lines[0, 0] = before[0]
+    lines[0, 1] = before[1]
     for t in range(n_frames):
-        lines[t + 1] = lines[t]
+        lines[t + 1, 0] = lines[t, 0]
+        lines[t + 1, 1] = lines[t, 1]
         for i in range(n_lines):
+            is_double[t, i] = False
             if kind[t, i] < 0:
                 continue
             for j in range(n_lines):
@@ -200,7 +220,8 @@ def find_doubles(
                     continue
                 if not abs(offset_m[t, i] - offset_m[t, j]) < DOUBLE * width_m[t]:
                     continue
-                here, there = abs(offset_m[t, i]), abs(offset_m[t, j])
+                here = abs(offset_m[t, i])
+                there = abs(offset_m[t, j])
                 if kind[t, j] < kind[t, i] or there < here or (there == here and j < i):
                     is_double[t, i] = True
             lines[t + 1, 0] += 1
@@ -228,7 +249,7 @@ def weigh_positions(
     visibility: FloatArray,
     likelihood: FloatArray,
 ) -> None:
-    """Fills likelihood (T, n cells, 2); the maximum of each frame is 1. A mean over the lane widths
+    """Fill likelihood (T, n cells, 2); the maximum of each frame is 1. A mean over the lane widths
     and over the kinds of detectors, which are followed in `visibility`.
 
     - kind: (T, L) the line's class, -1 where it does not count
@@ -243,12 +264,19 @@ def weigh_positions(
     """
     n_frames, n_lines = offset_m.shape
     n_lanes, n_kinds = visibility.shape
-    n_states, n_widths = n_lanes * n_kinds, width_m.shape[1]
+    n_states = n_lanes * n_kinds
+    n_widths = width_m.shape[1]
     cells = likelihood.shape[1] // n_lanes
     of_state = np.empty((n_widths, cells * n_states))
     mean = np.empty((n_widths, cells))
     weight = np.empty(n_widths)
-    expected_mean = expected.mean()
+    spare = np.empty((n_lanes, n_kinds))
+    place = np.empty(cells)
+    expected_mean = 0.0
+    for k in range(n_kinds):
+        for lane in range(n_lanes):
+            expected_mean += expected[k, lane]
+    expected_mean /= n_states
     cell = model_width_m / cells / step_m
     last = log_mean.shape[1] - 2
     for t in range(n_frames):
@@ -264,8 +292,10 @@ def weigh_positions(
                 same += 1
             weight[n] = same / n_widths
             scale = model_width_m / width_m[t, k]
-            of_state[n] = 0.0
-            mean[n] = 0.0
+            for r in range(cells * n_states):
+                of_state[n, r] = 0.0
+            for u in range(cells):
+                mean[n, u] = 0.0
             for i in range(n_lines):
                 c = kind[t, i]
                 if c < 0:
@@ -277,34 +307,43 @@ def weigh_positions(
                     at = min(max(start + u * cell, 0.0), last)
                     z = int(at)
                     right = at - z
-                    below, above = log_intensity[c, z], log_intensity[c, z + 1]
+                    below = log_intensity[c, z]
+                    above = log_intensity[c, z + 1]
                     target = of_state[n, u * n_states : (u + 1) * n_states]
                     for s in range(n_states):
                         target[s] += below[s] + right * (above[s] - below[s])
-                    before, after = log_mean[c, z], log_mean[c, z + 1]
-                    mean[n, u] += before + right * (after - before)
+                    before = log_mean[c, z]
+                    mean[n, u] += before + right * (log_mean[c, z + 1] - before)
             n += 1
             k += same
         if n > 1:
             _mix(weight, mean, n)
             _mix(weight, of_state, n)
-        known = of_state[0].reshape(cells, n_kinds, n_lanes)
+        # Entry (u n_kinds + k) n_lanes + lane.
+        known = of_state[0]
         for u in range(cells):
             for k in range(n_kinds):
                 for lane in range(n_lanes):
-                    known[u, k, lane] += expected_mean - expected[k, lane] - mean[0, u]
-        _change(visibility, min(lane_changes * tenths[t], 0.3), min(kind_changes * tenths[t], 0.3))
-        lane_share = visibility.sum(axis=1)
+                    s = (u * n_kinds + k) * n_lanes + lane
+                    known[s] += expected_mean - expected[k, lane] - mean[0, u]
+        to_side = min(lane_changes * tenths[t], 0.3)
+        to_any = min(kind_changes * tenths[t], 0.3)
+        _change(visibility, to_side, to_any, spare)
         largest = -np.inf
         for u in range(cells):
             phase_only = of_place * mean[0, u]
             largest = max(largest, phase_only)
             for lane in range(n_lanes):
-                top = known[u, :, lane].max()
-                total = 0.0
+                top = -np.inf
                 for k in range(n_kinds):
-                    total += visibility[lane, k] * math.exp(of_lane * (known[u, k, lane] - top))
-                total /= lane_share[lane]
+                    top = max(top, known[(u * n_kinds + k) * n_lanes + lane])
+                total = 0.0
+                share = 0.0
+                for k in range(n_kinds):
+                    away = known[(u * n_kinds + k) * n_lanes + lane] - top
+                    total += visibility[lane, k] * math.exp(of_lane * away)
+                    share += visibility[lane, k]
+                total /= share
                 likelihood[t, lane * cells + u, 0] = phase_only + of_lane * top + math.log(total)
                 likelihood[t, lane * cells + u, 1] = phase_only
                 largest = max(largest, likelihood[t, lane * cells + u, 0])
@@ -312,51 +351,86 @@ def weigh_positions(
             likelihood[t, r, 0] = math.exp(likelihood[t, r, 0] - largest)
             likelihood[t, r, 1] = math.exp(likelihood[t, r, 1] - largest)
         if n_kinds > 1:
-            _learn(visibility, known, mean[0], of_lane)
+            _learn(visibility, known, mean[0], of_lane, place, spare)
 
 
-@kernel()
-def _change(visibility: FloatArray, to_side: float, to_any: float) -> None:
-    """Predicts the belief (n, K) over lane and kind: the car goes to the lane on either side with
-    one probability, and the kind is any again with another."""
+@kernel(no_cpython_wrapper=True)
+def _change(visibility: FloatArray, to_side: float, to_any: float, before: FloatArray) -> None:
+    """Predict the belief (n, K) over lane and kind.
+
+    - to_side: probability that the car goes to the lane on the left, and on the right
+    - to_any: probability that the kind is any again
+    - before: (n, K), overwritten
+    """
     n_lanes, n_kinds = visibility.shape
-    before = visibility.copy()
     for lane in range(n_lanes):
-        left, right = max(lane - 1, 0), min(lane + 1, n_lanes - 1)
+        for k in range(n_kinds):
+            before[lane, k] = visibility[lane, k]
+    for lane in range(n_lanes):
+        left = max(lane - 1, 0)
+        right = min(lane + 1, n_lanes - 1)
+        total = 0.0
         for k in range(n_kinds):
             stays = (1 - 2 * to_side) * before[lane, k]
             visibility[lane, k] = stays + to_side * (before[left, k] + before[right, k])
-        spread = to_any * visibility[lane].sum() / n_kinds
+            total += visibility[lane, k]
+        spread = to_any * total / n_kinds
         for k in range(n_kinds):
             visibility[lane, k] = (1 - to_any) * visibility[lane, k] + spread
 
 
-@kernel()
-def _learn(visibility: FloatArray, known: FloatArray, mean: FloatArray, alpha: float) -> None:
-    """Weighs the belief (n, K) over lane and kind with a frame.
+@kernel(no_cpython_wrapper=True)
+def _learn(
+    visibility: FloatArray,
+    known: FloatArray,
+    mean: FloatArray,
+    alpha: float,
+    place: FloatArray,
+    support: FloatArray,
+) -> None:
+    """Weigh the belief (n, K) over lane and kind with a frame.
 
-    - known: (cells, K, n) logarithm of the frame's likelihood relative to the mean one
+    - known: (cells K n,) logarithm of the frame's likelihood relative to the mean one
     - mean: (cells,) logarithm of the mean likelihood; evidence of the place in the lane
+    - place, support: (cells,), (n, K), overwritten
     """
     n_lanes, n_kinds = visibility.shape
-    place = np.exp(mean - mean.max())
-    place /= place.sum()
-    support = np.empty(visibility.shape)
+    cells = len(mean)
+    top = -np.inf
+    for u in range(cells):
+        top = max(top, mean[u])
+    total = 0.0
+    for u in range(cells):
+        place[u] = math.exp(mean[u] - top)
+        total += place[u]
+    for u in range(cells):
+        place[u] /= total
+    largest = -np.inf
     for lane in range(n_lanes):
         for k in range(n_kinds):
-            top = known[:, k, lane].max()
+            top = -np.inf
+            for u in range(cells):
+                top = max(top, known[(u * n_kinds + k) * n_lanes + lane])
             total = 0.0
-            for u in range(len(mean)):
-                total += place[u] * math.exp(known[u, k, lane] - top)
+            for u in range(cells):
+                away = known[(u * n_kinds + k) * n_lanes + lane] - top
+                total += place[u] * math.exp(away)
             # The best place may have no share that is a number.
             support[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
-    visibility *= np.exp(support - support.max())
-    visibility /= visibility.sum()
+            largest = max(largest, support[lane, k])
+    total = 0.0
+    for lane in range(n_lanes):
+        for k in range(n_kinds):
+            visibility[lane, k] *= math.exp(support[lane, k] - largest)
+            total += visibility[lane, k]
+    for lane in range(n_lanes):
+        for k in range(n_kinds):
+            visibility[lane, k] /= total
 
 
-@kernel()
+@kernel(no_cpython_wrapper=True)
 def _mix(weight: FloatArray, log_value: FloatArray, n: int) -> None:
-    """Writes the logarithm of the weighted mean of the first n rows of log_value (K, C) into its
+    """Write the logarithm of the weighted mean of the first n rows of log_value (K, C) into its
     first row."""
     for u in range(log_value.shape[1]):
         largest = log_value[0, u]

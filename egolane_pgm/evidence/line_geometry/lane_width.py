@@ -35,13 +35,17 @@ from egolane_pgm.evidence.line_geometry.scale import (
 )
 from egolane_pgm.types import FloatArray, LineLog
 
-#: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.
+#: Gaps are counted in logarithmic bins of one per cent.
 _STEP = 0.01
-_SMALLEST, _LARGEST = 1e-3, 1e5
+
+#: The smallest and the largest gap that is counted, in any unit.
+_SMALLEST = 1e-3
+_LARGEST = 1e5
 
 #: The range of candidates, relative to the median over frames of the largest gap between
 #: neighbours. That gap is one lane if all lines are seen, and several if some are missed.
-NARROWEST, WIDEST = 0.2, 1.5
+NARROWEST = 0.2
+WIDEST = 1.5
 
 #: The shares of gaps off the lattice that are tried.
 OFF_LATTICE = (0.05, 0.3, 0.6, 0.9)

@@ -43,9 +43,12 @@ INNER_CONTINUOUS = 0.05
 PLAIN_SHARES = (0.88, 0.06, 0.06)
 CLUTTER_PER_M = 0.05 * np.array([0.05, 0.5, 0.2, 0.25])
 
-#: Generic standard deviation of a line, metres, and of an independent error per metre between line
-#: and car. The second is 0 with `width_wanders`, which also makes far lines less exact.
-LINE_SIGMA_M, LINE_SIGMA_PER_M = 0.25, 0.03
+#: Generic standard deviation of a line, metres.
+LINE_SIGMA_M = 0.25
+
+#: Generic standard deviation of an independent error, metres per metre between line and car. 0
+#: with `width_wanders`, which also makes far lines less exact.
+LINE_SIGMA_PER_M = 0.03
 
 #: Generic distance of the shoulder lines from the road, lane widths.
 SHOULDER_DISTANCE = 0.9
@@ -123,7 +126,8 @@ def line_model(n_lanes: int, parameters: Mapping[str, Value], kind: Kind = GENER
     shares[:, 0] = INNER_CONTINUOUS
     shares[[0, n_lanes], 0] = kind.edge_continuous
     shares[:, 1:] = (1 - shares[:, :1]) * np.array(PLAIN_SHARES)
-    sigmas, shoulders = np.full(n_lines, LINE_SIGMA_M), np.full(2, SHOULDER_DISTANCE)
+    sigmas = np.full(n_lines, LINE_SIGMA_M)
+    shoulders = np.full(2, SHOULDER_DISTANCE)
     generic = zip(FITTED, (rates, shares, sigmas, shoulders, CLUTTER_PER_M), strict=True)
     fields = {
         name: default
@@ -138,7 +142,8 @@ def line_model(n_lanes: int, parameters: Mapping[str, Value], kind: Kind = GENER
 def without_flags(model: LineModel) -> LineModel:
     """The model for a detector without a continuous flag: class 0 is divided among the others, so
     that lines differ in their places only."""
-    shares, clutter = model.class_shares.copy(), model.clutter.copy()
+    shares = model.class_shares.copy()
+    clutter = model.clutter.copy()
     shares[:, 1] += np.where(shares[:, 0] < 1, 0, shares[:, 0])
     shares[:, 0] = 0
     shares /= shares.sum(axis=1, keepdims=True)

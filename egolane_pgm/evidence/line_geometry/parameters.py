@@ -6,8 +6,10 @@ from egolane_pgm.evidence.line_geometry.model import N_CLASSES
 from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS
 from egolane_pgm.parameters import Parameter
 
-#: Lane widths that are taken: a detector's metres may be others than ours, but not by this much.
-_NARROWEST_M, _WIDEST_M = 0.01, 1000.0
+#: The narrowest and the widest lane that can be given. A detector may have other metres than we do,
+#: but not by this much.
+_NARROWEST_M = 0.01
+_WIDEST_M = 1000.0
 
 _OR_FITTED = "; `generic`, or a list that `egolane learn` writes"
 

@@ -18,20 +18,29 @@ from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import NOTE, FloatArray, IntArray, LineLog
 
 #: The narrowest and the widest lane in metres, even of a detector whose scale is wrong by half.
-NARROWEST_M, WIDEST_M = 1.5, 6.0
+NARROWEST_M = 1.5
+WIDEST_M = 6.0
 
 #: Double lines count once if at least this share of the lines are such doubles.
 LEAST_DOUBLES = 0.1
 
-#: Warn of a vehicle off centre from the first on, in lane widths (drivers of the
-#: paper's drives keep .05 to .14 to the left), if the lines' places agree at least as well as the
-#: second (0 to 1) and there are enough lines.
-OFF_CENTRE, STEADY, ENOUGH_LINES = 0.2, 0.3, 1000
+#: The mean offset of a vehicle from the middle of its lane, lane widths, from which a warning is
+#: given. Drivers of the paper's drives keep .05 to .14 to the left.
+OFF_CENTRE = 0.2
 
-#: Warn of halves of a recording with different lane widths if these differ by more
-#: than this share and each has at least these log odds (natural). It was never wrong in 500
-#: stretches of the paper's recordings, half a minute to ten minutes long.
-ANOTHER_SCALE, SURE_OF_HALF = 0.1, 20.0
+#: The least agreement of the lines' places for this warning, 0 (uniform) to 1 (equal).
+STEADY = 0.3
+
+#: The least number of lines for this warning.
+ENOUGH_LINES = 1000
+
+#: The relative difference between the lane widths of the halves of a recording from which a warning
+#: is given. With SURE_OF_HALF it was never wrong in 500 stretches of the paper's recordings, half a
+#: minute to ten minutes long.
+ANOTHER_SCALE = 0.1
+
+#: The least log odds (natural) of the width of each half for this warning.
+SURE_OF_HALF = 20.0
 
 #: With `lane_width_m: causal`, the number of frames after which the detector's conventions are
 #: estimated again, from all frames so far.
@@ -75,14 +84,16 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
 
     Warns of an estimate, and of halves with different widths.
     """
-    given, fallback = parameters["lane_width_m"], number(parameters, "fallback_width_m")
+    given = parameters["lane_width_m"]
+    fallback = number(parameters, "fallback_width_m")
     middle = len(log) // 2
     halves = [gap_counts(log.take(part)) for part in (slice(0, middle), slice(middle, None))]
     if not isinstance(given, str):
         width_m = number(parameters, "lane_width_m")
     else:
         whole = width_of_gaps(halves[0] + halves[1], fallback, log.source)
-        message, width_m = whole.message, whole.width_m
+        message = whole.message
+        width_m = whole.width_m
         if whole.is_sure:
             if NARROWEST_M <= width_m <= WIDEST_M:
                 message = NOTE + message
@@ -106,7 +117,8 @@ def warn_of_offsets(log: LineLog, width_m: float) -> None:
     lane all the time."""
     reach_m = width_m * REACH_M / LANE_M
     placed = flag_semantics.is_placed(log.offset_m)
-    n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
+    n_placed = int(placed.sum())
+    n_far = int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
             f"{log.source}: {n_far} of {n_placed} lines are {reach_m:.4g} m away or more and are"
@@ -155,7 +167,8 @@ def read_lines(
     - last: the frame before the first; None for a whole recording, in which the share of doubles
       is that among all lines instead of those so far
     """
-    is_whole, last = last is None, last or NO_FRAME
+    is_whole = last is None
+    last = last or NO_FRAME
     # A log may have integers.
     offset_m = np.asarray(log.offset_m, dtype=np.float64)
     lri = np.asarray(log.lri, dtype=np.float64)

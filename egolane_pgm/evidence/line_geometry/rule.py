@@ -122,10 +122,13 @@ def _online(
     tables = {has: visibility_tables(models, has_flags=has) for has in (True, False)}
     given = parameters["lane_width_m"]
     width = scale.new_belief(number(parameters, "fallback_width_m"))
-    detector, counts = flag_semantics.PAPER, flag_semantics.NO_LINES
+    detector = flag_semantics.PAPER
+    counts = flag_semantics.NO_LINES
     recent: list[flag_semantics.Columns] = []
     has_flags = False
-    n_frames, last, last_s = 0, reading.NO_FRAME, -math.inf
+    n_frames = 0
+    last = reading.NO_FRAME
+    last_s = -math.inf
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """Return the evidence of frames that share all estimates."""
@@ -156,7 +159,8 @@ def _online(
         if len(recorded) <= 1:
             return evidence_of_part(recorded)
         # The estimates change every UPDATE_EVERY frames, and may at the first continuous line.
-        n, every = len(recorded), reading.UPDATE_EVERY
+        n = len(recorded)
+        every = reading.UPDATE_EVERY
         updates = sorted({0, *range(-n_frames % every, n, every)})
         has_flag = _has_flag(recorded)
         firsts = [a + int(has_flag[a:b].argmax()) for a, b in pairwise([*updates, n])]
@@ -221,7 +225,9 @@ def fit(
     A lane without a frame keeps the first guess, with a warning.
     """
     source = ", ".join(log.source for log, _, _ in parts)
-    offsets, kinds, lanes = [], [], []
+    offsets = []
+    kinds = []
+    lanes = []
     first_width = 0.0
     for recorded, lane, is_used in parts:
         with warnings.catch_warnings():

@@ -31,9 +31,14 @@ from egolane_pgm.parameters import Parameters
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
-#: The LRI of a well tracked line, on the paper's scale; of a strong line at least; and of a line
-#: that is not valid and yet counts, at least.
-FULL_LRI, STRONG_LRI, LEAST_LRI = 10.0, 6.0, 3.0
+#: The LRI of a well tracked line, on the paper's scale.
+FULL_LRI = 10.0
+
+#: The least LRI of a strong line, whose place is reliable.
+STRONG_LRI = 6.0
+
+#: The least LRI of a line that is not valid and yet counts.
+LEAST_LRI = 3.0
 
 #: An offset nearer to 0 than this is a placeholder of a detector that has not measured yet.
 PLACEHOLDER_M = 1e-6
@@ -50,24 +55,33 @@ GAP_SIGMA = 0.06
 DOUBLE = 0.1
 
 #: The number of gaps that count as one, because neighbouring frames show the same lines: two
-#: seconds of frames are little more evidence than a single one. Fewer for the width that wanders,
-#: which has to follow quickly.
-ALIKE, ALIKE_WANDERING = 20.0, 10.0
+#: seconds of frames are little more evidence than a single one.
+ALIKE = 20.0
 
-#: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between
-#: every other line is two lanes, to within this many lane widths (the second). This is checked only
-#: with enough gaps (the third) for about three independent ones, since a detector may report two
-#: lines only.
-LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
+#: The same for the width that wanders; fewer, because it has to follow quickly.
+ALIKE_WANDERING = 10.0
+
+#: The least share of two lanes among the gaps between every other line, if two neighbouring lanes
+#: are ever seen at once.
+LEAST_PAIRS = 0.03
+
+#: The largest distance of such a gap from two lanes, lane widths.
+PAIR_WITHIN = 0.15
+
+#: The least number of gaps between every other line for this check: about three independent ones,
+#: since a detector may report two lines only.
 ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
 
 #: Scale of the prior, a Cauchy distribution of the logarithm of the width around the expected one.
 #: A width a tenth away is half as probable; those far away keep a chance.
 EXPECTED_WITHIN = 0.1
 
-#: The grid: logarithmic steps from the narrowest to the widest width, in any unit.
+#: The grid of widths has logarithmic steps of this size.
 _STEP = 0.02
-_NARROWEST, _WIDEST = 0.1, 1e4
+
+#: The narrowest and the widest width of the grid, in any unit.
+_NARROWEST = 0.1
+_WIDEST = 1e4
 _LOG_NARROWEST = math.log(_NARROWEST)
 _N_WIDTHS = math.ceil(math.log(_WIDEST / _NARROWEST) / _STEP)
 GRID = _NARROWEST * np.exp(_STEP * np.arange(_N_WIDTHS))
@@ -79,19 +93,31 @@ N_QUANTILES = 7
 OFF_LATTICE = 0.6
 
 #: The share of the belief in a width that moves to either neighbour in a frame, if the scale is
-#: steady and if it wanders.
-STEADY_MOVES, WANDERING_MOVES = 0.0005, 0.025
+#: steady.
+STEADY_MOVES = 0.0005
+
+#: The same if the scale wanders.
+WANDERING_MOVES = 0.025
 
 #: Probability that the scale of a detector is another one from this frame on. It is so small that
 #: misleading gaps are taken for a new scale only if they last for a minute or longer.
 ANOTHER_SCALE = 1e-40
 
-#: A scale that wanders starts again with this probability in each frame, around the steady one with
-#: this standard deviation of its logarithm.
-RETURNS, WANDERS = 0.05, 0.1
+#: Probability in each frame that a scale that wanders starts again around the steady one.
+RETURNS = 0.05
 
-#: Probability that the scale of an unknown detector wanders, and how quickly that may change.
-MAY_WANDER, CHANGES = 0.05, 1e-4
+#: Standard deviation of the logarithm of a width around the steady one.
+WANDERS = 0.1
+
+#: Probability that the scale of an unknown detector wanders.
+MAY_WANDER = 0.05
+
+#: The share by which this probability returns to MAY_WANDER in each frame.
+CHANGES = 1e-4
+
+#: The factor of a width at which two neighbouring lanes are never seen at once, in each frame: such
+#: a width is impossible. It is so small because other widths may have sunk to ANOTHER_SCALE.
+NEVER_PAIRED = 1e-60
 
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
 KEPT_PAIRS = 0.9998
@@ -160,10 +186,12 @@ def line_classes(
     """Return the class of each line (`model.N_CLASSES`), -1 in padding, and whether its place is
     reliable; (T, L) each. An unknown LRI counts as the highest."""
     n_frames, n_lines = offset_m.shape
-    kind = np.full((n_frames, n_lines), -1)
-    is_strong = np.zeros((n_frames, n_lines), dtype=np.bool_)
+    kind = np.empty((n_frames, n_lines), dtype=np.int64)
+    is_strong = np.empty((n_frames, n_lines), dtype=np.bool_)
     for t in range(n_frames):
         for i in range(n_lines):
+            kind[t, i] = -1
+            is_strong[t, i] = False
             if not PLACEHOLDER_M < abs(offset_m[t, i]) < math.inf:
                 continue
             is_reliable = not lri[t, i] < STRONG_LRI
@@ -175,127 +203,196 @@ def line_classes(
     return kind, is_strong
 
 
-@kernel()
 def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
     """Return the lane width before each of T frames, (T, N_QUANTILES): equally probable values in
     rising order, in the unit of the offsets. The belief becomes that after the last frame.
 
     offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
+    # NumPy sorts at once; numba takes seconds to compile a sort.
+    width_m: FloatArray = _follow(belief, np.sort(np.where(is_strong, offset_m, np.inf), axis=1))
+    return width_m
+
+
+@kernel()
+def _follow(belief: WidthBelief, lines_m: FloatArray) -> FloatArray:
+    """As `follow`; lines_m: (T, L) strong lines in rising order, then infinity; overwritten."""
     steady, wandering, pairs, counts, prior = belief
-    n_frames, n_lines = offset_m.shape
-    n_widths, n_table = len(prior), len(_LOG_LIKELIHOOD)
+    n_frames = len(lines_m)
     width_m = np.empty((n_frames, N_QUANTILES))
-    lines = np.empty(n_lines)
-    moved = np.empty(n_widths)
-    around = np.empty(n_widths)
-    support = np.empty(n_widths)
-    off_table = _LOG_LIKELIHOOD[0]
+    # The beliefs that predict a frame, and the support of its gaps for each width.
+    predicted = np.empty(len(prior))
+    kept = np.empty(len(prior))
+    around = np.empty(len(prior) + 2 * _HALF)
+    support = np.empty(len(prior))
     for t in range(n_frames):
-        # Predict.
-        moved[0], moved[-1] = steady[0], steady[-1]
-        for j in range(1, n_widths - 1):
-            moved[j] = steady[j] + STEADY_MOVES * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
-        for j in range(n_widths):
-            steady[j] = moved[j] + ANOTHER_SCALE * (prior[j] - moved[j])
-        # A width by which no two neighbouring lanes are ever seen at once is impossible. The factor
-        # is so small because other widths may have sunk to ANOTHER_SCALE.
-        total = 0.0
-        for j in range(n_widths):
-            if counts[1] >= ENOUGH_PAIRS and pairs[j] < LEAST_PAIRS * counts[1]:
-                steady[j] *= 1e-60
-            moved[j] = steady[j]
-            total += moved[j]
-        around[:] = 0.0
-        for j in range(n_widths):
-            moved[j] /= total
-            if moved[j] > 1e-6:
-                for d in range(max(-_HALF, -j), min(_HALF, n_widths - 1 - j) + 1):
-                    around[j + d] += moved[j] * _SPREAD[d + _HALF]
-        left = wandering[0]
-        total = 0.0
-        for j in range(n_widths):
-            here = wandering[j]
-            right = wandering[j + 1] if j + 1 < n_widths else here
-            new = here + WANDERING_MOVES * (left - 2 * here + right)
-            wandering[j] = new + RETURNS * (around[j] - new)
-            if counts[1] >= ENOUGH_PAIRS and pairs[j] < LEAST_PAIRS * counts[1]:
-                wandering[j] *= 1e-60
-            total += wandering[j]
-            left = here
-        for j in range(n_widths):
-            wandering[j] /= total
+        for j in range(len(prior)):
+            is_paired = counts[1] < ENOUGH_PAIRS or pairs[j] >= LEAST_PAIRS * counts[1]
+            kept[j] = 1.0 if is_paired else NEVER_PAIRED
+        _predict_steady(steady, prior, kept, predicted)
+        _predict_wandering(wandering, predicted, kept, around)
         counts[0] += CHANGES * (MAY_WANDER - counts[0])
-        # The quantiles of the mixture.
         below = 0.0
         k = 0
-        for j in range(n_widths):
-            below += counts[0] * wandering[j] + (1 - counts[0]) * moved[j]
+        for j in range(len(prior)):
+            below += counts[0] * wandering[j] + (1 - counts[0]) * predicted[j]
             while k < N_QUANTILES and below * N_QUANTILES >= k + 0.5:
                 width_m[t, k] = math.exp(_LOG_NARROWEST + _STEP * j)
                 k += 1
-        # The gaps of this frame.
-        n = 0
-        for i in range(n_lines):
-            if is_strong[t, i]:
-                lines[n] = offset_m[t, i]
-                n += 1
-        if n < 2:
-            continue
-        lines[:n].sort()
-        largest = 0.0
-        for i in range(n - 1):
-            largest = max(largest, lines[i + 1] - lines[i])
-        single = 1
-        for i in range(1, n):
-            if lines[i] - lines[single - 1] > DOUBLE * largest:
-                lines[single] = lines[i]
-                single += 1
-        for j in range(n_widths):
-            pairs[j] *= KEPT_PAIRS
-            support[j] = 0.0
-        counts[1] *= KEPT_PAIRS
-        n_gaps = 0
-        for apart in (1, 2):
-            for i in range(single - apart):
-                gap = lines[i + apart] - lines[i]
-                if gap == math.inf:
-                    continue
-                n_gaps += 1
-                if apart == 2:
-                    counts[1] += 1
-                start = round((math.log(gap) - _LOG_NARROWEST) / _STEP) - _FIRST
-                # Widths whose gap is off the table are alike.
-                for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
-                    support[j] += _LOG_LIKELIHOOD[start - j] - off_table
-                    if apart == 2:
-                        pairs[j] += _IS_TWO_LANES[start - j]
-        if n_gaps == 0:
-            continue
-        most = 0.0
-        for j in range(n_widths):
-            most = max(most, support[j])
-        of_steady = 0.0
-        of_wandering = 0.0
-        total = 0.0
-        total_wandering = 0.0
-        for j in range(n_widths):
-            # Most neighbours have equal gaps, and exp takes longer than the rest.
-            if j == 0 or support[j] != support[j - 1]:
-                likelihood = math.exp((support[j] - most) / ALIKE)
-                quick = math.exp((support[j] - most) / ALIKE_WANDERING)
-            of_steady += moved[j] * quick
-            of_wandering += wandering[j] * quick
-            steady[j] *= likelihood
-            total += steady[j]
-            wandering[j] *= quick
-            total_wandering += wandering[j]
-        for j in range(n_widths):
-            steady[j] /= total
-            wandering[j] /= total_wandering
-        of_wandering *= counts[0]
-        counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
+        n = _without_doubles(lines_m[t])
+        if n > 0 and _compare_gaps(lines_m[t], n, pairs, counts, support):
+            _weigh_widths(steady, wandering, counts, predicted, support)
     return width_m
+
+
+@kernel(no_cpython_wrapper=True)
+def _predict_steady(
+    steady: FloatArray, prior: FloatArray, kept: FloatArray, predicted: FloatArray
+) -> None:
+    """Predict the belief in a steady width; fill `predicted`, normalised.
+
+    - kept: factor of each width
+    """
+    n_widths = len(prior)
+    predicted[0] = steady[0]
+    predicted[-1] = steady[-1]
+    for j in range(1, n_widths - 1):
+        second = steady[j - 1] - 2 * steady[j] + steady[j + 1]
+        predicted[j] = steady[j] + STEADY_MOVES * second
+    for j in range(n_widths):
+        steady[j] = (predicted[j] + ANOTHER_SCALE * (prior[j] - predicted[j])) * kept[j]
+    total = 0.0
+    for j in range(n_widths):
+        predicted[j] = steady[j]
+        total += predicted[j]
+    for j in range(n_widths):
+        predicted[j] /= total
+
+
+@kernel(no_cpython_wrapper=True)
+def _predict_wandering(
+    wandering: FloatArray, steady: FloatArray, kept: FloatArray, around: FloatArray
+) -> None:
+    """Predict the belief in a width that wanders around a steady one.
+
+    - steady: predicted belief in the steady width
+    - kept: factor of each width
+    - around: overwritten; _HALF longer on either side
+    """
+    n_widths = len(steady)
+    for j in range(len(around)):
+        around[j] = 0.0
+    for j in range(n_widths):
+        if steady[j] > 1e-6:
+            for d in range(2 * _HALF + 1):
+                around[j + d] += steady[j] * _SPREAD[d]
+    left = wandering[0]
+    total = 0.0
+    for j in range(n_widths):
+        here = wandering[j]
+        right = wandering[j + 1] if j + 1 < n_widths else here
+        new = here + WANDERING_MOVES * (left - 2 * here + right)
+        wandering[j] = (new + RETURNS * (around[j + _HALF] - new)) * kept[j]
+        total += wandering[j]
+        left = here
+    for j in range(n_widths):
+        wandering[j] /= total
+
+
+@kernel(no_cpython_wrapper=True)
+def _without_doubles(lines: FloatArray) -> int:
+    """Move the lines that repeat no other to the front; return their number, 0 for a single line.
+
+    - lines: (L,) in rising order, then infinity
+    """
+    n = 0
+    largest = 0.0
+    while n < len(lines) and lines[n] < math.inf:
+        if n > 0:
+            largest = max(largest, lines[n] - lines[n - 1])
+        n += 1
+    if n < 2:
+        return 0
+    single = 1
+    for i in range(1, n):
+        if lines[i] - lines[single - 1] > DOUBLE * largest:
+            lines[single] = lines[i]
+            single += 1
+    return single
+
+
+@kernel(no_cpython_wrapper=True)
+def _compare_gaps(
+    lines: FloatArray, n: int, pairs: FloatArray, counts: FloatArray, support: FloatArray
+) -> bool:
+    """Compare the gaps between n sorted lines with every width; return whether there are any.
+
+    - support: filled with the logarithm of the likelihood of each width
+    """
+    n_widths = len(pairs)
+    n_table = len(_LOG_LIKELIHOOD)
+    off_table = _LOG_LIKELIHOOD[0]
+    for j in range(n_widths):
+        pairs[j] *= KEPT_PAIRS
+        support[j] = 0.0
+    counts[1] *= KEPT_PAIRS
+    n_gaps = 0
+    for apart in (1, 2):
+        for i in range(n - apart):
+            gap = lines[i + apart] - lines[i]
+            if gap == math.inf:
+                continue
+            n_gaps += 1
+            if apart == 2:
+                counts[1] += 1
+            start = round((math.log(gap) - _LOG_NARROWEST) / _STEP) - _FIRST
+            # Widths whose gap is off the table are alike.
+            for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
+                support[j] += _LOG_LIKELIHOOD[start - j] - off_table
+                if apart == 2:
+                    pairs[j] += _IS_TWO_LANES[start - j]
+    return n_gaps > 0
+
+
+@kernel(no_cpython_wrapper=True)
+def _weigh_widths(
+    steady: FloatArray,
+    wandering: FloatArray,
+    counts: FloatArray,
+    predicted: FloatArray,
+    support: FloatArray,
+) -> None:
+    """Weigh both beliefs, and the probability that the scale wanders, with a frame's gaps.
+
+    - predicted: normalised belief in a steady width
+    - support: logarithm of the likelihood of each width
+    """
+    n_widths = len(steady)
+    most = 0.0
+    for j in range(n_widths):
+        most = max(most, support[j])
+    of_steady = 0.0
+    of_wandering = 0.0
+    total = 0.0
+    total_wandering = 0.0
+    likelihood = 0.0
+    quick = 0.0
+    for j in range(n_widths):
+        # Most neighbours have equal gaps, and exp takes longer than the rest.
+        if j == 0 or support[j] != support[j - 1]:
+            likelihood = math.exp((support[j] - most) / ALIKE)
+            quick = math.exp((support[j] - most) / ALIKE_WANDERING)
+        of_steady += predicted[j] * quick
+        of_wandering += wandering[j] * quick
+        steady[j] *= likelihood
+        total += steady[j]
+        wandering[j] *= quick
+        total_wandering += wandering[j]
+    for j in range(n_widths):
+        steady[j] /= total
+        wandering[j] /= total_wandering
+    of_wandering *= counts[0]
+    counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
 
 
 def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
@@ -306,7 +403,9 @@ def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
     """
     given = {name: value for name, value in parameters.items() if isinstance(value, int | float)}
     max_lri = given.get("max_lri", FULL_LRI)
-    width, mean, last_s = new_belief(given.get("lane_width_m", LANE_M)), 0j, -math.inf
+    width = new_belief(given.get("lane_width_m", LANE_M))
+    mean = 0j
+    last_s = -math.inf
 
     def places_of(log: LineLog) -> FloatArray:
         nonlocal mean, last_s
@@ -320,7 +419,8 @@ def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
         place = np.full(len(log), np.nan)
         for t, time_s in enumerate(log.time_s.tolist()):
             kept = math.exp(-max(time_s - last_s, 0.0) / MEAN_S)
-            mean, last_s = kept * mean - (1 - kept) * sum(seen[t].tolist()), time_s
+            mean = kept * mean - (1 - kept) * sum(seen[t].tolist())
+            last_s = time_s
             if abs(mean) >= DEFINITE:
                 place[t] = cmath.phase(mean) / (2 * math.pi)
         return place

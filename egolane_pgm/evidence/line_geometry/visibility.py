@@ -72,13 +72,18 @@ KINDS: tuple[Kind, ...] = (
 #: The probability of the last kind from which a note is given.
 SURE = 0.8
 
-#: A line further away than this, in lane widths, is not of the own lane; a camera shows its own
-#: lane only if fewer than this share of the frames so far has such a line.
-FAR_WIDTHS, FAR_SHARE = 1.2, 0.1
+#: A line further away than this, in lane widths, does not belong to the own lane.
+FAR_WIDTHS = 1.2
+
+#: A camera shows its own lane only if fewer than this share of the frames so far has a far line.
+FAR_SHARE = 0.1
 
 #: The probability in a tenth of a second that the car goes to the lane on either side, as far as
-#: the belief over kinds is concerned, and that the detector or the road becomes of another kind.
-LANE_CHANGES, KIND_CHANGES = 0.002, 0.0013
+#: the belief over kinds is concerned.
+LANE_CHANGES = 0.002
+
+#: The probability in a tenth of a second that the detector or the road becomes another kind.
+KIND_CHANGES = 0.0013
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ class Band(NamedTuple):
 def find_band(compiled: Compiled) -> Band | None:
     """Return the banded form of a network's transition, or None; cached for online filters."""
     sizes = [compiled.cardinality[name] for name in compiled.state_nodes]
-    n_wide, n_others = sizes[-1], math.prod(sizes[:-1])
+    n_wide = sizes[-1]
+    n_others = math.prod(sizes[:-1])
     n_inputs = len(compiled.transition)
     own = np.empty((n_inputs, n_wide, n_wide))
     others = np.empty((n_inputs, n_others, n_others))
@@ -89,22 +90,29 @@ def forward_banded(
     """As the recursion of `forward_kernel`, but for a `Band` in place of the transition. With
     is_factored the others are one node."""
     others, half, floor, band = transition
-    n_others, n_wide = others.shape[1], band.shape[2]
+    n_others = others.shape[1]
+    n_wide = band.shape[2]
     widest = band.shape[1] // 2
     # Zeros on both sides, so that the band never leaves the array.
     before = np.zeros(n_wide + 2 * widest)
     predicted = np.zeros((n_others, n_wide))
-    belief = joint.copy().reshape(n_others, n_wide)
+    belief = np.empty((n_others, n_wide))
+    for q in range(n_others):
+        for r in range(n_wide):
+            belief[q, r] = joint[q * n_wide + r]
     of_wide = np.zeros(n_wide)
     of_others = np.zeros(n_others)
     for t in range(begins.shape[0]):
         u = index[t]
         if begins[t]:
-            predicted.ravel()[:] = prior[u]
+            for q in range(n_others):
+                for r in range(n_wide):
+                    predicted[q, r] = prior[u, q * n_wide + r]
         else:
             for q in range(n_others):
                 mixed = before[widest : widest + n_wide]
-                mixed[:] = 0.0
+                for r in range(n_wide):
+                    mixed[r] = 0.0
                 for p in range(n_others):
                     source = belief[p]
                     weight = others[u, p, q]
@@ -125,7 +133,8 @@ def forward_banded(
         mass = 0.0
         for q in range(n_others):
             given = likelihood[t, q * n_wide : (q + 1) * n_wide]
-            source, target = predicted[q], belief[q]
+            source = predicted[q]
+            target = belief[q]
             for r in range(n_wide):
                 target[r] = source[r] * given[r]
             for r in range(n_wide):
@@ -133,16 +142,17 @@ def forward_banded(
         total[t] = mass
         is_impossible[t] = not LEAST <= mass <= MOST
         if is_impossible[t]:
-            belief[:] = predicted
-            mass = predicted.sum()
+            mass = _copy(predicted, belief)
         scale = 1.0 / mass
         for q in range(n_others):
-            target, row = belief[q], beliefs[t, q * n_wide : (q + 1) * n_wide]
+            target = belief[q]
+            row = beliefs[t, q * n_wide : (q + 1) * n_wide]
             for r in range(n_wide):
                 target[r] *= scale
                 row[r] = target[r]
         if is_factored:
-            of_wide[:] = 0.0
+            for r in range(n_wide):
+                of_wide[r] = 0.0
             for q in range(n_others):
                 mass = 0.0
                 for r in range(n_wide):
@@ -152,4 +162,17 @@ def forward_banded(
             for q in range(n_others):
                 for r in range(n_wide):
                     belief[q, r] = of_others[q] * of_wide[r]
-    joint[:] = belief.ravel()
+    for q in range(n_others):
+        for r in range(n_wide):
+            joint[q * n_wide + r] = belief[q, r]
+
+
+@kernel(no_cpython_wrapper=True)
+def _copy(source: FloatArray, target: FloatArray) -> float:
+    """Copy an array of two axes; return its sum."""
+    total = 0.0
+    for q in range(source.shape[0]):
+        for r in range(source.shape[1]):
+            target[q, r] = source[q, r]
+            total += source[q, r]
+    return total

@@ -12,7 +12,8 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 def _chosen(cumulative: FloatArray, uniform: float) -> int:
     """The first index whose cumulative weight is above the uniform share of the total."""
     goal = uniform * cumulative[-1]
-    low, high = 0, cumulative.shape[0] - 1
+    low = 0
+    high = cumulative.shape[0] - 1
     while low < high:
         middle = (low + high) // 2
         if cumulative[middle] > goal:

@@ -15,7 +15,8 @@ from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: A frame's likelihood outside of these limits counts as zero: its reciprocal would lose digits.
-LEAST, MOST = 2.0**-1022, 2.0**1022
+LEAST = 2.0**-1022
+MOST = 2.0**1022
 
 
 @lru_cache(maxsize=64)
@@ -26,7 +27,8 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """
     known = np.array(columns, dtype=np.int64, ndmin=2)
     n_states = known.shape[1]
-    n_known, width = len(columns), int(known.max(initial=-1)) + 1
+    n_known = len(columns)
+    width = int(known.max(initial=-1)) + 1
 
     # Of fast arithmetic only the fusing of a multiplication with an addition: infinity and NaN
     # stay. Without the checks for a division by zero the compiler has more freedom.
@@ -59,12 +61,13 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         n = n_states if n_states else joint.shape[0]
         n_nodes = n_known if n_states else column.shape[0]
         n_columns = width if n_states else column.max() + 1
-        given, written = likelihood.ravel(), beliefs.ravel()
         # One array for all that the inner loops write, and for the transition that they read: the
         # compiler then sees that the parts do not overlap.
-        work = np.zeros(n * n + 2 * n + n_columns)
-        moves, carried = work[: n * n], work[n * n : n * n + n]
-        predicted, share = work[n * n + n : n * n + 2 * n], work[n * n + 2 * n :]
+        work = np.empty(n * n + 2 * n + n_columns)
+        moves = work[: n * n]
+        carried = work[n * n : n * n + n]
+        predicted = work[n * n + n : n * n + 2 * n]
+        share = work[n * n + 2 * n :]
         for s in range(n):
             carried[s] = joint[s]
         # The carried vector, times this, is the belief. It is multiplied in after the next
@@ -91,7 +94,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
                         predicted[s] += weight * moves[r * n + s]
             mass = 0.0
             for s in range(n):
-                carried[s] = predicted[s] * scale * given[t * n + s]
+                carried[s] = predicted[s] * scale * likelihood[t, s]
             for s in range(n):
                 mass += carried[s]
             total[t] = mass
@@ -103,7 +106,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
                     mass += carried[s]
             scale = 1.0 / mass
             for s in range(n):
-                written[t * n + s] = carried[s] * scale
+                beliefs[t, s] = carried[s] * scale
             if is_factored:
                 for c in range(n_columns):
                     share[c] = 0.0
@@ -132,7 +135,8 @@ def multiply_likelihood(block: FloatArray, emission: FloatArray, likelihood: Flo
     """
     term = np.empty(emission.shape[1])
     for t in range(block.shape[0]):
-        term[:] = 0.0
+        for s in range(emission.shape[1]):
+            term[s] = 0.0
         for k in range(emission.shape[0]):
             share = block[t, k]
             for s in range(emission.shape[1]):

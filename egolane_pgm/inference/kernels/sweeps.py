@@ -36,8 +36,10 @@ def smooth_frames(
     # transposed transition, whose rows are added up as vectors; `ahead` is P(evidence after the
     # frame | its state), divided by the largest one.
     work = np.ones(n * n + 3 * n)
-    backward, ahead = work[: n * n], work[n * n : n * n + n]
-    weight, onward = work[n * n + n : n * n + 2 * n], work[n * n + 2 * n :]
+    backward = work[: n * n]
+    ahead = work[n * n : n * n + n]
+    weight = work[n * n + n : n * n + 2 * n]
+    onward = work[n * n + 2 * n :]
     held = -1
     for t in range(n_frames - 1, -1, -1):
         total = 0.0
@@ -59,7 +61,8 @@ def smooth_frames(
             weight[s] = likelihood[t, s] * ahead[s]
             for r in range(n):
                 onward[r] += backward[s * n + r] * weight[s]
-        largest, total = 0.0, 0.0
+        largest = 0.0
+        total = 0.0
         for r in range(n):
             if filtered[t - 1, r] <= 0.0:
                 onward[r] = 0.0
@@ -86,7 +89,8 @@ def fixed_lag_frames(
 ) -> None:
     """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
     n_frames, n_states = filtered.shape
-    window, nothing = np.empty((min(lag + 1, n_frames), n_states)), np.empty((0, 0))
+    window = np.empty((min(lag + 1, n_frames), n_states))
+    nothing = np.empty((0, 0))
     end = n_frames
     for t in range(n_frames - 1, -1, -1):
         part = slice(t, min(t + lag + 1, end))

@@ -57,18 +57,25 @@ def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
 
 
 def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Lens:
-    """Finds the lens of the camera that took these pictures of a chessboard.
+    """Find the lens of the camera that took these pictures of a chessboard.
 
-    - paths: the pictures. One of another size than most, and one that does not show the whole board
-      are left out and reported in `skipped`.
+    - paths: the pictures. Damaged ones, ones of another size than most, and ones that do not show
+      the whole board are left out and reported in `skipped`.
     - columns, rows: inner corners of the board
 
-    Raises InputError for a file that is no picture, and for fewer than MIN_BOARDS boards.
+    Raises InputError for fewer than MIN_BOARDS boards.
     """
     skipped: list[str] = []
-    images = ((path, read_image(path)) for path in paths)
-    found = [(path, size_of(image), find_board(image, columns, rows)) for path, image in images]
-    usual = Counter(size for _, size, _ in found).most_common(1)[0][0]
+    found = []
+    for path in paths:
+        try:
+            image = read_image(path)
+        except InputError as error:
+            skipped.append(str(error))
+            continue
+        found.append((path, size_of(image), find_board(image, columns, rows)))
+    sizes = Counter(size for _, size, _ in found)
+    usual = max(sizes, key=sizes.__getitem__, default=(0, 0))
     boards: dict[Path, FloatArray] = {}
     for path, size, corners in found:
         if size != usual:
@@ -80,8 +87,8 @@ def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Le
     if len(boards) < MIN_BOARDS:
         first = f"; {skipped[0]}" if skipped else ""
         raise InputError(
-            f"{len(boards)} of {len(found)} pictures show the whole chessboard of {columns}x{rows}"
-            f" inner corners, needs {MIN_BOARDS} (check `board`){first}"
+            f"{len(boards)} of {len(boards) + len(skipped)} pictures show the whole chessboard of"
+            f" {columns}x{rows} inner corners, needs {MIN_BOARDS} (check `board`){first}"
         )
     flat = np.zeros((columns * rows, 3), dtype=np.float32)
     flat[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)

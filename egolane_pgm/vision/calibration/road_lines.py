@@ -67,8 +67,11 @@ _SAME_GAP = 0.15
 #: (a, b). If they scatter more, no lines were found.
 _MOST_SPREAD = (0.15, 0.05)
 
-#: Standard deviations: of the noise of a line's points, and of c (a road of 500 m radius).
-_NOISE, _BEND = 0.001, 0.0015
+#: Standard deviation of the noise of a line's points, in units of a and b.
+_NOISE = 0.001
+
+#: Standard deviation of c: a road of 500 m radius.
+_BEND = 0.0015
 
 _MIN_POINTS = 5
 
@@ -131,14 +134,17 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
-    """Fits a0, the s of each line and c with the horizon at b0. Returns them with the loss, which
+    """Fit a0, the s of each line and c with the horizon at b0. Return them with the loss, which
     grows linearly for outliers."""
     n_lines = len(lines)
-    blocks, targets = [], []
+    blocks = []
+    targets = []
     for i, points in enumerate(lines):
         below = points[:, 1] - b0
         block = np.zeros((len(points), n_lines + 2))
-        block[:, 0], block[:, 1 + i], block[:, -1] = 1.0, below, 1.0 / below
+        block[:, 0] = 1.0
+        block[:, 1 + i] = below
+        block[:, -1] = 1.0 / below
         blocks.append(block)
         targets.append(points[:, 0])
     prior = np.zeros((1, n_lines + 2))
@@ -155,7 +161,7 @@ def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
 
 
 def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
-    """Fits the lines of one frame through a common vanishing point.
+    """Fit the lines of one frame through a common vanishing point.
 
     - lines: the points (N, 2), a and b, of each line
     - about_b0: a rough horizon; points near it and above are left out
@@ -166,7 +172,8 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
     usable = [points for points in usable if len(points) >= _MIN_POINTS]
     if len(usable) < 2:
         return None
-    low, high = about_b0 - 2 * _MOST_SPREAD[1], about_b0 + 0.9 * NEAREST_TO_HORIZON
+    low = about_b0 - 2 * _MOST_SPREAD[1]
+    high = about_b0 + 0.9 * NEAREST_TO_HORIZON
     found = minimize_scalar(
         lambda b0: _fit_at(usable, b0)[1], bounds=(low, high), options={"xatol": 1e-7}
     )
@@ -179,7 +186,7 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
 
 
 def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
-    """Which of the gaps (G,) are near the most common one, counted by their weights (G,)."""
+    """Mark the gaps (G,) near the most common one, counted by their weights (G,)."""
     if not gaps.size:
         return np.zeros(0, dtype=bool)
     away = np.abs(gaps / gaps[:, None] - 1)
@@ -194,7 +201,7 @@ def view_from(
     each: FloatArray,
     fits: Sequence[FrameFit],
 ) -> RoadView:
-    """Finds the pitch, yaw and height of a camera from fitted lines of the road.
+    """Find the pitch, yaw and height of a camera from fitted lines of the road.
 
     - camera: gives the pinhole, distortion, roll and width of lanes; pitch, yaw and height are
       replaced
@@ -227,7 +234,8 @@ def view_from(
     middles = np.concatenate([[], *((offset[1:] + offset[:-1]) / 2 for offset in offsets)])
     low, high = (lane_width_m / height for height in reversed(_HEIGHTS))
     sane = (gaps > low) & (gaps < high)
-    gaps, middles = gaps[sane], middles[sane]
+    gaps = gaps[sane]
+    middles = middles[sane]
     # A small error of roll or lens makes the gaps far to the side wrong, so they count less.
     weights = 1 / (1 + middles**2)
     lanes = one_lane(gaps, weights)
@@ -248,11 +256,13 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
 
 
 def doubts_of(view: RoadView) -> str:
-    """What speaks against a view, in one line, or nothing: a height that cars and lorries do not
+    """Return the doubts about a view in one line, or nothing: a height that cars and lorries do not
     have, or gaps of twice a lane's width that outnumber the lanes, where half the height is usual;
     else a width that lanes do not have."""
     assert view.camera.lane_width_m is not None
-    high, (low, most), one = view.camera.height_m, USUAL_HEIGHTS, view.camera.lane_width_m
+    high = view.camera.height_m
+    low, most = USUAL_HEIGHTS
+    one = view.camera.lane_width_m
     n_lanes = int(view.is_lane.sum())
     n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
     if low <= high <= most and (high / 2 < low or n_double <= n_lanes):
@@ -262,13 +272,14 @@ def doubts_of(view: RoadView) -> str:
     return (
         f"doubtful: with lanes of {one:g} m {said_height(view.camera)} ({n_lanes} gaps between"
         f" lines are lanes, {n_double} twice as wide). If {taken} taken for a lane, it is at"
-        f" {other:.2f} m: leave out what is no line of a lane (ignore), or give other stills"
+        f" {other:.2f} m: leave out lines that do not bound a lane (ignore), or give other stills"
     )
 
 
 def describe_view(view: RoadView, what: str) -> str:
     """Describe a view in some lines. what: the lines used."""
-    (u, v), (du, dv) = view.vanishing_point, view.spread_px
+    u, v = view.vanishing_point
+    du, dv = view.spread_px
     lanes = view.gaps_m[view.is_lane]
     return (
         f"Road: {what}.\n  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or"
@@ -281,8 +292,11 @@ def describe_view(view: RoadView, what: str) -> str:
 
 # --- lines in stills ----------------------------------------------------------------------------
 
-#: The fan: the largest offset to either side and the step, in heights of the camera; and its rows.
-_SIDE, _STEP = 5.0, 0.025
+#: The largest offset of the fan to either side, in heights of the camera.
+_SIDE = 5.0
+
+#: The step between the rays of the fan, in heights of the camera.
+_STEP = 0.025
 _ROWS = 120
 
 #: The widest marking, in heights of the camera (block markings are 0.6 m wide and more).
@@ -291,9 +305,11 @@ _MARKING = 0.8
 #: The widest dark seam, and the widest gap of a double line, in heights of the camera.
 _SEAM = 0.15
 
-#: A pixel is paint if it is brighter than its surroundings by more than the first number of grey
-#: levels, and by more than the second number times the mean difference in its row.
-_CONTRAST, _SCATTERS = 12.0, 4.0
+#: A pixel is paint if it is brighter than its surroundings by more than this, grey levels, ...
+_CONTRAST = 12.0
+
+#: ... and by more than this number of times the mean difference in its row.
+_SCATTERS = 4.0
 
 #: The smallest share of a line's length in the picture that paint covers.
 _COVERED = 0.08
@@ -309,10 +325,14 @@ _BENDS = np.linspace(-0.0015, 0.0015, 7)
 #: The largest difference in heading and pitch between stills of one drive (a, b).
 _STILLS_DIFFER = np.array([0.1, 0.03])
 
-#: An edge votes for a point if the sine of the angle between them is below the first value. Edges
-#: shorter than the second (share of the picture's width) or flatter than the third (b per a) do not
-#: vote, since they are no lines of the road ahead.
-_NEAR, _SHORTEST, _FLATTEST = 0.02, 0.025, 0.12
+#: An edge votes for a point if the sine of the angle between them is below this.
+_NEAR = 0.02
+
+#: Shorter edges do not vote, share of the picture's width.
+_SHORTEST = 0.025
+
+#: Flatter edges do not vote, b per a: they are not lines of the road ahead.
+_FLATTEST = 0.12
 
 #: The share of the length of all edges that must vote for the point where they meet. With edges in
 #: random directions it is about a twentieth.
@@ -378,7 +398,9 @@ def _length(lines: FloatArray) -> FloatArray:
 def _votes(points: FloatArray, lines: FloatArray) -> FloatArray:
     """The total length (P,) of the edges (M, 4) that point at each of the points (P, 2) from
     below."""
-    upper, along, length = lines[:, :2], lines[:, 2:] - lines[:, :2], _length(lines)
+    upper = lines[:, :2]
+    along = lines[:, 2:] - lines[:, :2]
+    length = _length(lines)
     to = points[:, None, :] - (lines[:, :2] + lines[:, 2:])[None] / 2
     reach = np.hypot(to[..., 0], to[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -391,11 +413,17 @@ def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> Float
     """The points (P, 2) where random pairs of edges (M, 4) meet; long edges come more often."""
     weight = _length(lines)
     first, second = rng.choice(len(lines), (2, tries), p=weight / weight.sum())
-    p, r = lines[first, :2], lines[first, 2:] - lines[first, :2]
-    q, s = lines[second, :2], lines[second, 2:] - lines[second, :2]
+    p = lines[first, :2]
+    r = lines[first, 2:] - lines[first, :2]
+    q = lines[second, :2]
+    s = lines[second, 2:] - lines[second, :2]
     cross = r[:, 0] * s[:, 1] - r[:, 1] * s[:, 0]
     far = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
-    p, r, q, s, cross = p[far], r[far], q[far], s[far], cross[far]
+    p = p[far]
+    r = r[far]
+    q = q[far]
+    s = s[far]
+    cross = cross[far]
     along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
     return np.asarray(p + along[:, None] * r)
 
@@ -443,7 +471,7 @@ def meeting_of_stills(stills: Sequence[FloatArray]) -> tuple[FloatArray, FloatAr
 def fan(
     camera: Camera, grey: FloatArray, mask: BoolArray, point: FloatArray, bend: float = 0.0
 ) -> Fan:
-    """Resamples a picture along rays through a point, so that paint along the road stands upright.
+    """Resample a picture along rays through a point, so that paint along the road stands upright.
 
     - grey: (H, W) brightness, grey levels
     - mask: (H, W) pixels that may show road
@@ -452,7 +480,8 @@ def fan(
     """
     lowest = to_level(camera, np.array([camera.width / 2]), np.array([camera.height - 1.0]))[0, 1]
     # The rows are denser far away, where dashes are shorter in the picture.
-    farthest, nearest = NEAREST_TO_HORIZON, max(lowest - point[1], 2 * NEAREST_TO_HORIZON)
+    farthest = NEAREST_TO_HORIZON
+    nearest = max(lowest - point[1], 2 * NEAREST_TO_HORIZON)
     below = np.geomspace(farthest, nearest, _ROWS)
     side = np.arange(-_SIDE, _SIDE + _STEP / 2, _STEP)
     rays = _rays(point, bend, side[None, :], below[:, None])
@@ -460,11 +489,12 @@ def fan(
     # Far outside the picture the distortion formula folds points back into it.
     free_u, free_v = from_level(camera, rays)
     inside = (np.abs(free_u - camera.cx) < 0.75 * camera.width) & (free_v < 1.25 * camera.height)
-    u, v = u.astype(np.float32), v.astype(np.float32)
+    u = u.astype(np.float32)
+    v = v.astype(np.float32)
     bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
     kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
-    # The road between two dark seams is no paint, nor is the gap of a double line a gap.
+    # The road between two dark seams is not paint, and the gap in a double line is closed.
     seam = np.ones((1, round(_SEAM / _STEP) | 1), dtype=np.uint8)
     bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, seam)
     paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)
@@ -478,7 +508,7 @@ def _rays(point: FloatArray, bend: float, side: FloatArray, below: FloatArray) -
 
 
 def is_paint(found: Fan) -> BoolArray:
-    """Which pixels of a fan, (R, S), are paint."""
+    """Mark the pixels of a fan, (R, S), that are paint."""
     n_seen = np.maximum(found.seen.sum(axis=1, keepdims=True), 1)
     scatter = found.paint.sum(axis=1, keepdims=True) / n_seen
     is_bright: BoolArray = found.paint > np.maximum(_CONTRAST, _SCATTERS * scatter)
@@ -506,14 +536,18 @@ def find_lines(
     - about: (2,) the point a, b where the lines roughly meet
     """
     grey = grey_of(image)
-    best, point, bend = -1.0, about, 0.0
+    best = -1.0
+    point = about
+    bend = 0.0
     for c in _BENDS:
         for da in _TURNS:
             at = about + np.array([da, 0.0])
             profile = _profile(fan(camera, grey, mask, at, c))
             sharp = float(np.sum(profile**2)) * (1 - 0.05 * abs(c) / _BENDS[-1])
             if sharp > best:
-                best, point, bend = sharp, at, c
+                best = sharp
+                point = at
+                bend = c
     found = fan(camera, grey, mask, point, bend)
     lines = []
     for side, below in _streaks(found):
@@ -523,9 +557,11 @@ def find_lines(
 
 
 def _streaks(found: Fan) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Upright streaks of paint in a fan, the most covered one first: `side` and `below`, (N,)
-    each, of the rows with paint."""
-    paint, profile = is_paint(found), _profile(found)
+    """Yield the upright streaks of paint in a fan, the most covered one first.
+
+    Each is `side` and `below` of the rows with paint, (N,)."""
+    paint = is_paint(found)
+    profile = _profile(found)
     smooth = np.convolve(profile, np.ones(3) / 3, mode="same")
     taken = np.zeros(len(smooth), dtype=bool)
     reach = round(0.5 * _MARKING / _STEP)
@@ -560,7 +596,7 @@ class FoundLines:
 
 
 def find_in_stills(camera: Camera, paths: Sequence[Path]) -> FoundLines:
-    """Finds the lines in stills that one camera took of a road.
+    """Find the lines in stills that one camera took of a road.
 
     - paths: the stills; `camera.ignore` are the parts that never show road
 
@@ -575,7 +611,8 @@ def find_in_stills(camera: Camera, paths: Sequence[Path]) -> FoundLines:
             check_size(image, camera.width, camera.height)
         straight.append(edges(camera, image, mask))
     ahead, each = meeting_of_stills(straight)
-    fits, lines = [], []
+    fits = []
+    lines = []
     for path, point in zip(paths, each, strict=True):
         about = point if np.isfinite(point).all() else ahead
         found = find_lines(camera, read_image(path), mask, about)

@@ -1,1 +1,1 @@
-"""Cameras and what they see: the camera model, and pictures and videos as files."""
+"""The camera model, and pictures and videos as files."""

@@ -4,17 +4,20 @@
 - OpenCV: a `FileStorage` in YAML or XML, as its calibration samples write it
 - Kalibr: `camchain.yaml`, of which the first camera is taken
 
-The keys of our own camera YAML that describe the mounting may stand beside them.
+The files may also have the keys of our own camera YAML that describe the mounting.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.tools.files import read_text, read_yaml
 from egolane_pgm.types import InputError
+
+if TYPE_CHECKING:
+    import cv2
 
 #: Our keys, and the names that they have elsewhere. A matrix is rows of numbers, or all of them.
 _NAMES = {
@@ -25,12 +28,14 @@ _NAMES = {
     "lens": ("distortion_model",),
 }
 
+#: The number of coefficients of each lens.
+COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
+
 #: The distortion models that are known, by their names in ROS and Kalibr.
 _LENSES = {
-    "plumb_bob": "plumb_bob",
+    **{lens: lens for lens in COEFFICIENTS},
     "radtan": "plumb_bob",
     "none": "plumb_bob",
-    "equidistant": "equidistant",
     "fisheye": "equidistant",
 }
 
@@ -53,11 +58,12 @@ def read_keys(path: Path) -> tuple[dict[str, Any], bool]:
         for ours, names in _NAMES.items()
         if not set(names).isdisjoint(content)
     }
+    for key in ("camera_model", "model_type"):
+        if str(content.get(key, "pinhole")).lower() != "pinhole":
+            raise InputError(f"{path}: {key}: {content[key]!r} is not pinhole")
     if "matrix" not in theirs:
         return content, False
     kept = {key: content[key] for key in content if key.endswith(("_m", "_deg")) or key == "ignore"}
-    if content.get("camera_model", "pinhole") != "pinhole":
-        raise InputError(f"{path}: camera_model: {content['camera_model']!r} is not pinhole")
     if "resolution" in content:
         kept["width"], kept["height"] = _numbers(path, "resolution", content, (2,))
     for key in ("width", "height"):
@@ -66,20 +72,22 @@ def read_keys(path: Path) -> tuple[dict[str, Any], bool]:
     values = _numbers(path, theirs["matrix"], content, (4, 9))
     at = (0, 1, 2, 3) if len(values) == 4 else (0, 4, 2, 5)
     kept["fx"], kept["fy"], kept["cx"], kept["cy"] = (values[k] for k in at)
-    usual = "equidistant" if content.get("fisheye_model") else "plumb_bob"
-    given = content.get(theirs.get("lens", "")) or usual
+    bends = []
+    if "distortion" in theirs:
+        bends = _numbers(path, theirs["distortion"], content, (0, 2, 4, 5, 8, 12, 14))
+    usual = "rational_polynomial" if any(bends[5:]) else "plumb_bob"
+    given = content.get(theirs.get("lens", "")) or (
+        "equidistant" if content.get("fisheye_model") else usual
+    )
     if given not in _LENSES:
         known = ", ".join(_LENSES)
         raise InputError(f"{path}: distortion_model: {given!r} is not one of {known}")
     kept["lens"] = _LENSES[given]
-    n = 4 if kept["lens"] == "equidistant" else 5
-    bends = []
-    if "distortion" in theirs:
-        bends = _numbers(path, theirs["distortion"], content, (0, 2, 4, 5, 8, 12, 14))
+    n = COEFFICIENTS[kept["lens"]]
     if any(bends[n:]):
         raise InputError(
             f"{path}: {theirs['distortion']}: has more than the {n} coefficients of"
-            f" {kept['lens']}; calibrate with plumb_bob or equidistant"
+            f" {kept['lens']}; calibrate with {', '.join(COEFFICIENTS)}"
         )
     kept["distortion"] = (bends + [0.0] * n)[:n]
     return kept, True
@@ -103,21 +111,24 @@ def _numbers(
 
 
 def _of_opencv(path: Path) -> dict[str, Any]:
-    """Return the numbers, texts and matrices of a FileStorage."""
+    """Return the content of a FileStorage; matrices as rows."""
     import cv2
 
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        names = storage.root().keys()
-    except (cv2.error, SystemError):
-        raise InputError(f"{path}: is no FileStorage of OpenCV that can be read") from None
-    content: dict[str, Any] = {}
-    for key in names:
-        node = storage.getNode(key)
-        if node.isMap() and (found := node.mat()) is not None:
-            content[key] = found.tolist()
-        elif node.isInt() or node.isReal():
-            content[key] = int(node.real()) if node.isInt() else node.real()
-        elif node.isString():
-            content[key] = node.string()
-    return content
+        return dict(_value(storage.root()))
+    except (cv2.error, SystemError, AttributeError, TypeError, ValueError, RecursionError):
+        raise InputError(f"{path}: is not a FileStorage of OpenCV that can be read") from None
+
+
+def _value(node: cv2.FileNode) -> Any:
+    if node.isMap():
+        names = node.keys()
+        if "data" in names:
+            return node.mat().tolist()
+        return {name: _value(node.getNode(name)) for name in names}
+    if node.isSeq():
+        return [_value(node.at(k)) for k in range(node.size())]
+    if node.isString():
+        return node.string()
+    return int(node.real()) if node.isInt() else node.real()

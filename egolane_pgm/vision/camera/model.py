@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
-from egolane_pgm.vision.camera.lens import read_keys
+from egolane_pgm.vision.camera.lens import COEFFICIENTS, read_keys
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
@@ -25,8 +25,11 @@ _ROUNDS = 20
 #: larger, the distortion formula has folded over and would show the picture a second time.
 _FOLD_PX = 1.0
 
-#: The smallest divisor, and the largest angle, radians, of a ray to the axis of a fisheye.
-_TINY, _MOST_ANGLE = 1e-12, math.radians(89)
+#: The smallest divisor.
+_TINY = 1e-12
+
+#: The largest angle between a ray and the axis of a fisheye, radians.
+_MOST_ANGLE = math.radians(89)
 
 #: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
 RANGES = {
@@ -45,12 +48,11 @@ RANGES = {
     "lane_width_m": (2, 6, "metres"),
 }
 
-#: The lowest camera on usual cars, the highest on lorries, and the usual width of lanes, metres.
-USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 3.2), 3.66
+#: The height of the lowest camera on usual cars and of the highest on lorries, metres.
+USUAL_HEIGHTS = (0.9, 3.2)
 
-
-#: The distortion models and how many coefficients they have.
-_COEFFICIENTS = {"plumb_bob": 5, "equidistant": 4}
+#: The usual width of lanes, metres.
+USUAL_LANE_M = 3.66
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,9 @@ class Camera:
     - pitch_deg, yaw_deg, roll_deg: turn of the camera against the direction of travel; positive
       is upwards, to the right and clockwise
     - lateral_m: distance to the right of the vehicle's middle
-    - lens: the distortion model, "plumb_bob" or "equidistant" (a fisheye)
-    - distortion: OpenCV's k1, k2, p1, p2, k3 of plumb_bob, or k1 to k4 of equidistant
+    - lens: the distortion model, "plumb_bob", "rational_polynomial" or "equidistant" (a fisheye)
+    - distortion: OpenCV's k1, k2, p1, p2, k3 of plumb_bob, also k4 to k6 of rational_polynomial, or
+      k1 to k4 of equidistant
     - baseline_m: for a rectified stereo pair, how far the second camera is to the right of this
       one; None for a single camera
     - lane_width_m: the width of the lanes that the height follows from, which detectors then
@@ -102,9 +105,9 @@ class Camera:
             _check_numbers(name, (value,), 1)
             if not low <= value <= high:
                 raise InputError(f"{name}: {value} is not between {low} and {high} ({unit})")
-        if self.lens not in _COEFFICIENTS:
-            raise InputError(f"lens: {self.lens!r} is not one of {', '.join(_COEFFICIENTS)}")
-        _check_numbers("distortion", self.distortion, _COEFFICIENTS[self.lens])
+        if self.lens not in COEFFICIENTS:
+            raise InputError(f"lens: {self.lens!r} is not one of {', '.join(COEFFICIENTS)}")
+        _check_numbers("distortion", self.distortion, COEFFICIENTS[self.lens])
         for box in self.ignore:
             _check_numbers("ignore", box, 4)
         if any(box[0] >= box[2] or box[1] >= box[3] for box in self.ignore):
@@ -116,7 +119,7 @@ class Camera:
         return self.lens == "equidistant" or any(self.distortion)
 
 
-#: What is wanted besides the lens.
+#: How to complete a file that has the lens only.
 _MOUNTING = (
     "; the file has the lens only: add the line `height_m: 1.3` (metres above the road), and"
     " pitch_deg, yaw_deg and roll_deg if they are not 0"
@@ -127,7 +130,7 @@ _KEYS = [f.name for f in fields(Camera) if f.name != "name"]
 
 
 def _check_numbers(name: str, values: object, n: int) -> None:
-    """Raise InputError for what is not n finite numbers, whole ones where pixels are counted."""
+    """Raise InputError for a value that is not n finite numbers, whole numbers for pixels."""
     is_whole = name in ("width", "height", "ignore")
     if not (
         isinstance(values, tuple)
@@ -143,8 +146,9 @@ def _check_numbers(name: str, values: object, n: int) -> None:
 
 def said_height(camera: Camera) -> str:
     """Compare the height of the camera with cameras of cars and lorries."""
-    usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
-    return f"the camera is {high:.2f} m above the road, those of cars and lorries {usual}"
+    usual = "{:g} to {:g} m".format(*USUAL_HEIGHTS)
+    high = camera.height_m
+    return f"the camera is {high:.2f} m above the road; cars and lorries have {usual}"
 
 
 def axes(camera: Camera) -> FloatArray:
@@ -162,27 +166,21 @@ def axes(camera: Camera) -> FloatArray:
     return np.stack([right, math.cos(roll) * down - math.sin(roll) * level, forward])
 
 
-def matrix(camera: Camera) -> FloatArray:
-    """The pinhole matrix, (3, 3)."""
-    return np.array(
-        [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
-        dtype=np.float64,
-    )
-
-
 def road_to_image(
-    camera: Camera, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, undistorted: bool = False
+    camera: Camera, x: ArrayLike, y: ArrayLike, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixels u, v of points in vehicle coordinates; NaN for points behind the camera.
+    """Pixels u, v of points of the road; NaN for points behind the camera.
 
-    - x, y, z: metres, of any shapes that broadcast
+    - x, y: metres ahead and to the right, of any shapes that broadcast
     - undistorted: pixels of the picture without lens distortion
     """
-    x, y, z = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (x, y, z)))
-    relative = np.stack([x, y - camera.lateral_m, z - camera.height_m], axis=-1) @ axes(camera).T
+    place = (np.asarray(a, dtype=np.float64) for a in (x, y, -camera.height_m))
+    x, y, z = np.broadcast_arrays(*place)
+    relative = np.stack([x, y - camera.lateral_m, z], axis=-1) @ axes(camera).T
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = np.where(relative[..., 2] > 1e-9, relative[..., 2], np.nan)
-        a, b = relative[..., 0] / ahead, relative[..., 1] / ahead
+        a = relative[..., 0] / ahead
+        b = relative[..., 1] / ahead
     if not undistorted:
         a, b = _distort(camera, a, b)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
@@ -197,7 +195,8 @@ def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, F
         back_u, back_v = undistorted(camera, u, v)
         with np.errstate(invalid="ignore"):
             is_folded = ~(np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX)
-        u, v = np.where(is_folded, np.nan, u), np.where(is_folded, np.nan, v)
+        u = np.where(is_folded, np.nan, u)
+        v = np.where(is_folded, np.nan, v)
     return u, v
 
 
@@ -210,7 +209,8 @@ def image_to_road(
     - undistorted: pixels of the picture without lens distortion
     """
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
-    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    a = (u - camera.cx) / camera.fx
+    b = (v - camera.cy) / camera.fy
     if not undistorted:
         a, b = _undistort(camera, a, b)
     ray = np.stack([a, b, np.ones_like(a)], axis=-1) @ axes(camera)
@@ -228,7 +228,8 @@ def vanishing_point(camera: Camera) -> tuple[float, float]:
 def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
     """The rays (a, b, 1), a to the right and b down, of pixels u, v of the undistorted picture in
     the camera without roll: a, b, (..., 2)."""
-    a, b = (np.asarray(u) - camera.cx) / camera.fx, (np.asarray(v) - camera.cy) / camera.fy
+    a = (np.asarray(u) - camera.cx) / camera.fx
+    b = (np.asarray(v) - camera.cy) / camera.fy
     roll = math.radians(camera.roll_deg)
     return np.stack(
         [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
@@ -236,7 +237,7 @@ def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
 
 
 def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
-    """Turns the camera, without changing its roll, so that lines along the direction of travel
+    """Turn the camera, without changing its roll, so that lines along the direction of travel
     meet at the pixel (u, v) of the undistorted picture."""
     # In the camera without roll the ahead direction is (-tan yaw / cos pitch, tan pitch).
     a, b = level_rays(camera, u, v)
@@ -252,7 +253,8 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     Raises InputError for a size of another aspect ratio (by more than a pixel): such a picture was
     cut or stretched in an unknown way.
     """
-    across, along = width / camera.width, height / camera.height
+    across = width / camera.width
+    along = height / camera.height
     if abs(across - along) * min(camera.width, camera.height) > 1:
         raise InputError(
             f"pictures of {width}x{height} pixels have another aspect ratio than the"
@@ -282,14 +284,14 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
 
 
 def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Takes pixels u, v of the picture to the picture without lens distortion."""
+    """Take pixels u, v of the picture to the picture without lens distortion."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = _undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
 def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Takes pixels u, v of the picture without lens distortion to the picture."""
+    """Take pixels u, v of the picture without lens distortion to the picture."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = _distort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
@@ -301,9 +303,9 @@ def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, 
         angle = np.arctan(radius)
         scale = _bent(camera, angle) / np.maximum(radius, _TINY)
         return a * scale, b * scale
-    k1, k2, p1, p2, k3 = camera.distortion
+    _, _, p1, p2, *_ = camera.distortion
     square = a * a + b * b
-    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    radial = _radial(camera, square)
     return (
         a * radial + 2 * p1 * a * b + p2 * (square + 2 * a * a),
         b * radial + p1 * (square + 2 * b * b) + 2 * p2 * a * b,
@@ -320,15 +322,27 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
             angle = angle * radius / np.maximum(_bent(camera, angle), _TINY)
         scale = np.tan(np.clip(angle, 0, _MOST_ANGLE)) / np.maximum(radius, _TINY)
         return a * scale, b * scale
-    k1, k2, p1, p2, k3 = camera.distortion
-    free_a, free_b = a, b
+    _, _, p1, p2, *_ = camera.distortion
+    free_a = a
+    free_b = b
     for _ in range(_ROUNDS):
         square = free_a * free_a + free_b * free_b
-        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        radial = _radial(camera, square)
         shift_a = 2 * p1 * free_a * free_b + p2 * (square + 2 * free_a * free_a)
         shift_b = p1 * (square + 2 * free_b * free_b) + 2 * p2 * free_a * free_b
-        free_a, free_b = (a - shift_a) / radial, (b - shift_b) / radial
+        free_a = (a - shift_a) / radial
+        free_b = (b - shift_b) / radial
     return free_a, free_b
+
+
+def _radial(camera: Camera, square: FloatArray) -> FloatArray:
+    """The factor of a ray's distance from the axis, by the distance's square."""
+    k1, k2, _, _, k3, *further = camera.distortion
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    if further:
+        k4, k5, k6 = further
+        radial = radial / (1 + square * (k4 + square * (k5 + square * k6)))
+    return radial
 
 
 def _bent(camera: Camera, angle: FloatArray) -> FloatArray:
@@ -342,7 +356,7 @@ def read_camera(path: str | Path, height_m: float | None = None) -> Camera:
     """The camera of a YAML file, ours or one of ROS, OpenCV or Kalibr with our keys of the mounting
     added.
 
-    - height_m: that of a file without one; by default it must be there.
+    - height_m: metres, for a file that has none; by default the file must have it.
 
     Raises InputError, one line that names file and key, for a key that is missing, unknown or has a
     wrong value."""
@@ -364,7 +378,7 @@ def read_camera(path: str | Path, height_m: float | None = None) -> Camera:
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
-    """Writes a camera as YAML below a comment on its calibration, and makes missing
+    """Write a camera as YAML below a comment on its calibration, and make missing
     folders. Raises InputError if the file cannot be written."""
     content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import InputError
 
-#: (H, W, 3), blue green red, as OpenCV has it.
+#: (H, W, 3), blue green red, the order of OpenCV.
 Image = NDArray[np.uint8]
 
 
@@ -24,7 +24,7 @@ class Picture:
 
 
 def check_size(image: Image, width: int, height: int) -> None:
-    """Raises InputError for a picture of another size than the camera was calibrated for."""
+    """Raise InputError for a picture of another size than the camera was calibrated for."""
     if image.shape[:2] != (height, width):
         raise InputError(
             f"a picture of {image.shape[1]}x{image.shape[0]} pixels, but the camera was calibrated"

@@ -6,8 +6,8 @@ that increases from file to file; if there is none, their positions, from 0. Onl
 memory at a time.
 
 OpenCV gives all pictures of a video in the size of the first one. It also skips pictures that
-cannot be decoded or were never recorded, without a word: such a loss is noticed only by the number
-of pictures that the file states.
+cannot be decoded or were never recorded, without a warning: such a loss is noticed only by the
+number of pictures in the file's header.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any
@@ -47,8 +48,9 @@ _RATES = (0.5, 500.0)
 
 
 #: Reads the pictures with frame ids from the first number to before the second, one at a time:
-#: frame id, file (for messages) and image of each.
-Reader = Callable[[int, float], Iterator[tuple[int, str, Image]]]
+#: frame id, file (for messages) and a function for the image, which raises InputError for a damaged
+#: one.
+Reader = Callable[[int, float], Iterator[tuple[int, str, Callable[[], Image]]]]
 
 
 @dataclass(frozen=True)
@@ -58,8 +60,9 @@ class Source:
     - path: as the user gave it
     - read: the reader of its pictures
     - n_frames: None if the video lacks it
-    - frame_rate: Hz; None for picture files and for a video without one
+    - frame_rate: Hz; None for picture files and if a video has no frame rate
     - time_s (n_frames,): when each picture in a bag was taken, seconds; None for other sources
+    - stamps: the time stamp of each picture of a video that was read so far, seconds, by frame id
     """
 
     path: str
@@ -67,6 +70,7 @@ class Source:
     n_frames: int | None
     frame_rate: float | None = None
     time_s: FloatArray | None = None
+    stamps: dict[int, float] = field(default_factory=dict)
 
 
 def is_pattern(path: str) -> bool:
@@ -75,11 +79,11 @@ def is_pattern(path: str) -> bool:
 
 
 def open_source(path: str | Path, topic: str | None = None) -> Source:
-    """Finds the pictures at a path: a video, a picture, a folder of pictures, a glob or a bag.
+    """Find the pictures at a path: a video, a picture, a folder of pictures, a glob or a bag.
 
     - topic: of the pictures in a bag; by default the only one that has some
 
-    Raises InputError, naming the path, if there are none or the file is no video.
+    Raises InputError, naming the path, if there are none or the file is not a video.
     """
     path = str(path)
     place = Path(path)
@@ -92,18 +96,18 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     files = picture_files(path)
     ids = _frame_ids(files)
 
-    def read(first: int, stop: float) -> Iterator[tuple[int, str, Image]]:
+    def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
         for frame_id, file in zip(ids, files, strict=True):
             if first <= frame_id < stop:
-                yield frame_id, str(file), read_image(file)
+                yield frame_id, str(file), partial(read_image, file)
 
     return Source(path, read, len(ids))
 
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
-    """The camera as it takes the pictures of a source. If these have another size than it was
-    calibrated for, and the same aspect ratio, it is scaled with a warning. Another warns of
-    a height that no car and no lorry has.
+    """Scale a camera to the pictures of a source, with a warning if they have another size than it
+    was calibrated for, and the same aspect ratio. Another warns of a height that no car and no
+    lorry has.
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
@@ -113,7 +117,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
             UserWarning,
             stacklevel=2,
         )
-    _, _, first = next(images_of(source, None))
+    _, _, (first,) = next(images_of((source,), None))
     width, height = size_of(first)
     if (width, height) == (camera.width, camera.height):
         return camera
@@ -135,44 +139,57 @@ def read_pictures(
     right: Source | None = None,
     frames: tuple[int, int] | None = None,
 ) -> Iterator[Picture]:
-    """Reads the pictures in order, one at a time.
+    """Read the pictures in order, one at a time; see `images_of`.
 
     - camera: the calibration, for the size that pictures must have
     - right: the pictures of the second camera of a stereo pair
-    - frames: the first frame id to read and the one after the last; None for all
+    - frames: the first frame id to read and the end, which is not read; None for all
 
-    Raises InputError, naming file and frame, for a picture that cannot be read or has another size
-    than the calibration, and for two cameras with different numbers of pictures.
+    Raises InputError, naming file and frame, for a picture of another size than the calibration.
     """
-    if right is None:
-        for frame_id, file, image in images_of(source, frames):
+    for frame_id, files, images in images_of((source, right) if right else (source,), frames):
+        for file, image in zip(files, images, strict=True):
             with problems_in(f"{file}: frame {frame_id}"):
                 check_size(image, camera.width, camera.height)
-            yield Picture(frame_id, image)
-        return
-    pairs = zip_longest(read_pictures(source, camera, None, frames), images_of(right, frames))
-    for one, other in pairs:
-        if one is None or other is None:
-            raise InputError(f"{source.path} and {right.path} have not equally many pictures")
-        with problems_in(f"{other[1]}: frame {one.frame_id}"):
-            check_size(other[2], camera.width, camera.height)
-        yield Picture(one.frame_id, one.image, other[2])
+        yield Picture(frame_id, *images)
 
 
-def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
-    """The frame id, file and image of each picture of one camera, of any size, one at a time.
+def images_of(
+    sources: Sequence[Source], frames: tuple[int, int] | None
+) -> Iterator[tuple[int, tuple[str, ...], tuple[Image, ...]]]:
+    """The frame id, files and images of the pictures of one or two cameras, of any size, one frame
+    at a time. Frames with a damaged picture are left out with a warning at the end.
 
-    frames: as for `read_pictures`. Raises InputError, naming the file, for a picture that cannot be
-    read, and where there is none.
+    frames: as for `read_pictures`. Raises InputError if there are none, if all are damaged, and for
+    two cameras with different numbers of pictures.
     """
-    is_empty = True
-    for each in source.read(*(frames or (0, math.inf))):
-        is_empty = False
-        yield each
-    if is_empty:
+    source = sources[0]
+    n_read = 0
+    damaged: list[InputError] = []
+    for taken in zip_longest(*(each.read(*(frames or (0, math.inf))) for each in sources)):
+        if None in taken:
+            paths = " and ".join(each.path for each in sources)
+            raise InputError(f"{paths} have not equally many pictures")
+        try:
+            images = tuple(load() for _, _, load in taken)
+        except InputError as error:
+            damaged.append(error)
+            continue
+        n_read += 1
+        yield taken[0][0], tuple(file for _, file, _ in taken), images
+    if damaged and not n_read:
+        raise damaged[0]
+    if not n_read:
         asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
         known = f"it has {source.n_frames or 'no'} frames (pictures are numbered as in their names)"
         raise InputError(f"{source.path}: no frame{asked}; {known}")
+    if damaged:
+        warnings.warn(
+            f"{source.path}: left out {len(damaged)} of {n_read + len(damaged)} frames whose"
+            f" picture cannot be read, first {damaged[0]}",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 # --- bags ------------------------------------------------------------------------------------
@@ -188,12 +205,13 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
     chosen = image_topic(place, topic)
     time_s = np.array([time_s for time_s, _ in messages(place, chosen)])
 
-    def read(first: int, stop: float) -> Iterator[tuple[int, str, Image]]:
+    def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
         for at, (_, message) in enumerate(messages(place, chosen)):
             if at >= stop:
                 return
             if at >= first:
-                yield at, str(place), _decoded(message, f"{place}: picture {at} on {chosen}")
+                where = f"{place}: picture {at} on {chosen}"
+                yield at, str(place), partial(_decoded, message, where)
 
     if (np.diff(time_s) <= 0).any():
         # Stamps that do not increase are ignored.
@@ -203,7 +221,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
 
 
 def image_topic(path: Path, topic: str | None) -> str:
-    """The topic of the pictures, by default the only one that has some. Raises InputError where
+    """The topic of the pictures, by default the only one that has some. Raises InputError if
     there is none, or several to choose from."""
     there = {
         name
@@ -231,7 +249,9 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
         if image is None:
             raise InputError(f"{where}: its {value['format']!r} cannot be read")
         return image  # type: ignore[return-value]
-    height, width, encoding = int(value["height"]), int(value["width"]), str(value["encoding"])
+    height = int(value["height"])
+    width = int(value["width"])
+    encoding = str(value["encoding"])
     try:
         _, _, name, channels = to_cvtype(encoding)
         kind = np.dtype(name).newbyteorder(">" if value.get("is_bigendian") else "<")
@@ -250,16 +270,16 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
 
 
 def open_video(path: Path) -> cv2.VideoCapture:
-    """Opens a video before its first picture. Raises InputError for a file that is no video."""
+    """Open a video before its first picture. Raises InputError for another file."""
     # Without this, FFmpeg prints its own lines about files that our one-line error explains.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
+    # FFmpeg takes the text before a colon for a protocol, unless the path is absolute.
     absolute = os.path.abspath(path)
     video = cv2.VideoCapture(absolute)
     if not video.isOpened() or not video.grab():
         video.release()
         raise InputError(
-            f"{path}: is no video that can be read (another kind of file, or cut off before its"
+            f"{path}: is not a video that can be read (another kind of file, or cut off before its"
             " index was written)"
         )
     video.release()
@@ -269,11 +289,13 @@ def open_video(path: Path) -> cv2.VideoCapture:
 def _pictures_in_video(path: Path) -> Source:
     """The pictures of a video; reading warns of fewer than the file states."""
     video = open_video(path)
-    count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
+    count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    rate = video.get(cv2.CAP_PROP_FPS)
     video.release()
     known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
+    stamps: dict[int, float] = {}
 
-    def read(first: int, stop: float) -> Iterator[tuple[int, str, Image]]:
+    def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
         video = open_video(path)
         at = 0
         try:
@@ -282,7 +304,8 @@ def _pictures_in_video(path: Path) -> Source:
                     is_there, image = video.retrieve()
                     if not is_there:
                         break
-                    yield at, str(path), image  # type: ignore[misc]
+                    stamps[at] = video.get(cv2.CAP_PROP_POS_MSEC) / 1000
+                    yield at, str(path), partial(np.asarray, image)
                 at += 1
         finally:
             video.release()
@@ -294,7 +317,7 @@ def _pictures_in_video(path: Path) -> Source:
                 stacklevel=2,
             )
 
-    return Source(str(path), read, count if count > 0 else None, known_rate)
+    return Source(str(path), read, count if count > 0 else None, known_rate, stamps=stamps)
 
 
 # --- picture files -------------------------------------------------------------------------------
@@ -335,7 +358,7 @@ def _frame_ids(files: list[Path]) -> list[int]:
 
 
 def read_image(path: Path) -> Image:
-    """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
+    """Read a picture file as (H, W, 3), blue green red, 8 bits each.
 
     Raises InputError for a file that is missing, cut off or no picture.
     """
@@ -343,7 +366,7 @@ def read_image(path: Path) -> Image:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(
-            f"{path}: is no picture that can be read (missing, another kind of file, or cut off)"
+            f"{path}: is not a picture that can be read (missing, another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
 

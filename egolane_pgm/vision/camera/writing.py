@@ -18,7 +18,7 @@ CODEC = "mp4v"
 
 
 def write_picture(file: Path, image: Image) -> None:
-    """Writes a picture, (H, W, 3), blue green red, in the format of its extension, whole or not at
+    """Write a picture, (H, W, 3), blue green red, in the format of its extension, whole or not at
     all; missing folders are made. Raises InputError where it cannot be written."""
     write_bytes(file, cv2.imencode(file.suffix, image)[1].tobytes())
 
@@ -37,18 +37,17 @@ def video_writer(
 ) -> Iterator[Callable[[Image], None]]:
     """A context that gives a function to call with each picture of a video (`.mp4`) in turn.
 
-    Whatever ends the block, the pictures written so far are kept. Without any picture there is no
-    file.
+    The pictures written so far are kept if the block raises. Without a picture, no file is written.
 
     - frame_rate: Hz
     - size: width and height of the pictures, pixels
 
-    Raises InputError where the video cannot be written.
+    Raises InputError if the video cannot be written.
     """
     check_place(target)
     with temporary_folder(target.parent) as folder:
-        # FFmpeg takes what is before a colon for a protocol, unless the path is absolute, as that
-        # of a temporary folder is.
+        # FFmpeg takes the text before a colon for a protocol, unless the path is absolute, as in a
+        # temporary folder.
         part = folder / target.name
         with silent():
             video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
@@ -71,7 +70,7 @@ def video_writer(
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Silences OpenCV's own messages, for which we raise a one-line error."""
+    """Silence OpenCV's own messages, for which we raise a one-line error."""
     # The function's place differs between OpenCV's major versions.
     set_level: Any = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     before = set_level(0)

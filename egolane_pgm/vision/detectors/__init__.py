@@ -80,7 +80,8 @@ def as_log(
 
     frame_rate: Hz, for the times (frame id over frame rate).
     """
-    ids, lines = [], []
+    ids = []
+    lines = []
     for number, found in frames:
         ids.append(number)
         lines.append(found)

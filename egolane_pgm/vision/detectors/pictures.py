@@ -7,8 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from egolane_pgm.experiment import DETECTOR, Experiment
 from egolane_pgm.loading import existing
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOTE, InputError, LineLog, problems_in
 from egolane_pgm.vision.camera.model import Camera, read_camera
@@ -20,6 +23,9 @@ from egolane_pgm.vision.detectors.runner import (
     find_detector,
     start,
 )
+
+#: Time stamps of a video that differ less from a constant frame rate, frames, are rounded.
+_STEADY = 0.5
 
 if TYPE_CHECKING:
     # OpenCV is imported only where there are pictures.
@@ -33,7 +39,8 @@ def open_pictures(
 
     Raises InputError, with the key, for anything that cannot be used.
     """
-    recording, source = experiment.recording, experiment.source
+    recording = experiment.recording
+    source = experiment.source
     if recording.path is None or recording.format is not None:
         wrong = "simulate" if recording.path is None else "format"
         raise InputError(
@@ -108,10 +115,16 @@ def detect_pictures(
     log = as_log(found, frame_rate, left.path)
     if left.time_s is not None and (stamps or not is_given):
         log = replace(log, time_s=left.time_s[log.frame_id])
+    if left.stamps and not is_given:
+        time_s = np.array([left.stamps[k] for k in log.frame_id.tolist()])
+        away = np.abs(time_s - log.time_s).max() * frame_rate
+        if away > _STEADY and (np.diff(time_s) > 0).all():
+            log = replace(log, time_s=time_s)
+            left = replace(left, frame_rate=rate_of(log.frame_id, time_s))
     if stopped is None and left.frame_rate is None and not is_given:
         warnings.warn(
-            f"{NOTE}{left.path}: does not say its pictures per second: {frame_rate:g} are assumed"
-            " (recording.frame_rate says another)",
+            f"{NOTE}{left.path}: has no frame rate: {frame_rate:g} pictures per second are assumed"
+            " (set recording.frame_rate)",
             UserWarning,
             stacklevel=2,
         )
@@ -119,9 +132,10 @@ def detect_pictures(
 
 
 def detector_of(experiment: Experiment, key: str) -> ReadyDetector:
-    """Return the detector of an experiment. Raises InputError, with the key that needs it, for a
-    recording without one."""
-    recording, source = experiment.recording, experiment.source
+    """Return the detector of an experiment. Raises InputError, with the key that needs it, if
+    the recording has none."""
+    recording = experiment.recording
+    source = experiment.source
     if recording.detector is None:
         raise InputError(
             f"{source}: {key}: the recording has none; it goes with pictures or a video and"

@@ -4,7 +4,7 @@
      "h_samples": [240, ...]}
 
 `lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent.
-Results as the benchmark takes them have no `h_samples`: the rows are then its own 48 or 56.
+Results for the benchmark have no `h_samples`: the rows are then its own 48 or 56.
 `classes` is optional and has the class of each line; 2 (solid white) and 4 (solid yellow) are
 continuous. (6, a double white line, is not: another lane lies beyond it, and the flag is evidence
 of the road's edge.)
@@ -12,7 +12,7 @@ of the road's edge.)
 A folder that is a count and has one picture is a frame of the drive in the folder above it:
 `clips/0313-1/6040/20.jpg` is frame 6040 of 0313-1. Any other folder is a clip, in which the last
 number of a picture's name is the frame (`frame_00042.jpg`: 42). The frame ids of a clip continue
-those of the clip before, and no line is followed from one into the next.
+from the clip before, and no line is followed into the next clip.
 
 The points of a line are put on the road by the camera, and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
 to them; the offset is s0. Points are weighted by the width of a pixel on the road; a prior on the
@@ -46,24 +46,41 @@ _ROWS = {48: list(range(240, 720, 10)), 56: list(range(160, 720, 10))}
 #: The classes of continuous lines.
 _SOLID = (2, 4)
 
-#: The paper's k. A line becomes valid at this LRI and stays so until it falls below the second.
-LRI_FRAMES, RELEASE_LRI = 10, 5.0
+#: The paper's k, frames: the LRI at which a line becomes valid.
+LRI_FRAMES = 10
 
-#: Points farther ahead are left out: a pixel is metres long there, and roads are not flat. A line
-#: whose nearest point is farther ahead than the second has no offset.
-FARTHEST_M, NEAREST_M = 50.0, 25.0
+#: A valid line stays valid until its LRI falls below this, frames.
+RELEASE_LRI = 5.0
 
-#: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
-POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
+#: Points farther ahead are left out, metres: a pixel is metres long there, and roads are not flat.
+FARTHEST_M = 50.0
 
-#: How far a line may move between two pictures: metres, and metres for each second between them.
-GATE_M, GATE_M_PER_S = 0.3, 1.5
+#: A line whose nearest point is farther ahead has no offset, metres.
+NEAREST_M = 25.0
+
+#: Standard deviation of a point in the fit, pixels.
+POINT_PX = 3.0
+
+#: Standard deviation of heading in the fit, radians.
+HEADING = 0.1
+
+#: Standard deviation of curvature in the fit, 1/m.
+CURVATURE = 0.002
+
+#: Largest move of a line between two pictures, metres, ...
+GATE_M = 0.3
+
+#: ... plus this for each second between them, metres per second.
+GATE_M_PER_S = 1.5
 
 #: After a gap of more seconds than this no line is followed any further.
 LONGEST_GAP_S = 1.0
 
 #: A number in a name with more digits is a time stamp, not a frame number.
 _COUNT_DIGITS = 12
+
+#: A number with more digits does not fit a frame id.
+_ID_DIGITS = 18
 
 
 @dataclass(frozen=True)
@@ -92,8 +109,8 @@ def read_tusimple(
 
     A line becomes valid once it is seen in ten pictures, as in the paper; of clips of which none
     has ten pictures, every line is valid, with a warning. Another warns of pictures too far
-    apart to follow a line. Raises InputError, with the line of the file, for what is no such file,
-    for frames given twice, and without a camera or a frame.
+    apart to follow a line. Raises InputError, with the line of the file, for another file, for
+    frames given twice, and if the camera or all frames are missing.
     """
     path = Path(path)
     entries = list(read_entries(path))
@@ -110,7 +127,7 @@ def read_tusimple(
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """The place in the file, for messages, and the entry of each picture. Raises InputError, naming
-    the place, for a line that is no entry."""
+    the place, for another line."""
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
@@ -122,12 +139,15 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
                 f"{where}: is not JSON, which TuSimple's format needs in each line: {error}"
                 f" (formats: {known_formats()})"
             ) from None
-        for key in ("raw_file", "lanes"):
-            if not isinstance(entry, dict) or key not in entry:
-                raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
+        for key, kind in (("raw_file", str), ("lanes", list)):
+            if not isinstance(entry, dict) or not isinstance(entry.get(key), kind):
+                raise InputError(
+                    f"{where}: has no {key} ({kind.__name__}), which TuSimple's format needs"
+                )
         if "h_samples" not in entry:
-            # Results as the benchmark takes them: its own rows, by how many there are.
-            entry["h_samples"] = _ROWS.get(max(map(len, entry["lanes"]), default=0), [])
+            # Results for the benchmark have its own rows, chosen by their number.
+            counts = [len(lane) for lane in entry["lanes"] if isinstance(lane, list)]
+            entry["h_samples"] = _ROWS.get(max(counts, default=0), [])
         yield where, entry
 
 
@@ -136,7 +156,7 @@ def entry_lines(entry: dict[str, Any], where: str) -> list[ImageLine]:
     `read_tusimple` does."""
     rows = _numbers(entry["h_samples"], where, "h_samples")
     classes = entry.get("classes", [0] * len(entry["lanes"]))
-    if len(classes) != len(entry["lanes"]):
+    if not isinstance(classes, list) or len(classes) != len(entry["lanes"]):
         raise InputError(
             f"{where}: classes needs one class for each of {len(entry['lanes'])} lanes"
         )
@@ -176,9 +196,11 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
         folder = picture.parent
         is_frame = folder.name.isdecimal() and len(folder.name) <= _COUNT_DIGITS
         if is_frame and held[folder] == 1:
-            clip, name = str(folder.parent), folder.name
+            clip = str(folder.parent)
+            name = folder.name
         else:
-            clip, name = str(folder), picture.stem
+            clip = str(folder)
+            name = picture.stem
         number = frame_number(name, where)
         members = clips.setdefault(clip, {})
         if number in members:
@@ -190,9 +212,9 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
 
 
 def frame_number(name: str, where: str) -> int:
-    """The last number in a name. Raises InputError for a name without one."""
+    """Return the last number in a name. Raises InputError if it has none."""
     digits = re.findall(r"\d+", name)
-    if not digits:
+    if not digits or len(digits[-1]) > _ID_DIGITS:
         raise InputError(f"{where}: '{name}' has no frame number in it")
     return int(digits[-1])
 
@@ -210,7 +232,8 @@ def _log(
         shift = (numbers[-1] + 1 if numbers else 0) - min(members) if len(clips) > 1 else 0
         numbers += [k + shift for k in members]
     ids = np.array(numbers, dtype=np.int64)
-    offsets, flags = [], []
+    offsets = []
+    flags = []
     frames = [lines for members in clips.values() for _, lines in members.values()]
     for lines in frames:
         offset = np.array([offset_of(line, camera) for line in lines])
@@ -224,15 +247,19 @@ def _log(
             " camera; is it the camera of these pictures?"
         )
     names = np.repeat(list(clips), list(map(len, clips.values())))
-    lri, is_valid = [], []
+    lri = []
+    is_valid = []
     for piece in clip_slices(names):
         counts, flag = persistence(offsets[piece], ids[piece] / frame_rate)
         lri += counts
         is_valid += flag
-    all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
-    doubt, apart = "", float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
+    all_lri = np.concatenate(lri)
+    all_valid = np.concatenate(is_valid)
+    doubt = ""
+    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
     if len(clips) > 1 and max(map(len, clips.values())) < LRI_FRAMES:
-        all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
+        all_lri = np.full(len(all_lri), float(LRI_FRAMES))
+        all_valid = np.ones_like(all_valid)
         doubt = (
             f"its {len(clips)} clips have fewer than {LRI_FRAMES} pictures, too few to follow a"
             " line: every line counts as valid"
@@ -266,7 +293,8 @@ def offset_of(line: ImageLine, camera: Camera) -> float:
     x, y = image_to_road(camera, line.u, line.v)
     with np.errstate(invalid="ignore"):
         near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
-    x, y = x[near], y[near]
+    x = x[near]
+    y = y[near]
     if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
         return float("nan")
     prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
@@ -284,13 +312,17 @@ def persistence(
     - offsets: per frame (L,) in ascending order, metres.
     - time_s (T,): the times of the frames.
     """
-    place, flag = np.zeros(0), np.zeros(0, dtype=bool)
+    place = np.zeros(0)
+    flag = np.zeros(0, dtype=bool)
     seen = np.zeros((0, LRI_FRAMES), dtype=bool)
-    lri, valid = [], []
+    lri = []
+    valid = []
     for t, offset in enumerate(offsets):
         gap = float(time_s[t] - time_s[t - 1]) if t else 0.0
         if gap > LONGEST_GAP_S + 1e-9:
-            place, flag, seen = place[:0], flag[:0], seen[:0]
+            place = place[:0]
+            flag = flag[:0]
+            seen = seen[:0]
         away = np.abs(np.subtract.outer(offset, place))
         track = closest(np.where(away <= GATE_M + GATE_M_PER_S * gap, away, np.inf))
         is_new = track < 0
@@ -304,5 +336,7 @@ def persistence(
         flag = np.append(flag, is_new[is_new]) & (count >= RELEASE_LRI) | (count == LRI_FRAMES)
         lri.append(count[track].astype(np.float64))
         valid.append(flag[track])
-        place, flag, seen = place[count > 0], flag[count > 0], seen[count > 0]
+        place = place[count > 0]
+        flag = flag[count > 0]
+        seen = seen[count > 0]
     return lri, valid

@@ -101,7 +101,7 @@ def given_groups() -> list[tuple[Links, FloatArray, FloatArray, Markings]]:
     return groups(N_GROUPS, seed=1)
 
 
-def test_the_energy_is_that_of_the_markings_themselves(
+def test_the_energy_equals_the_one_from_all_markings(
     given_groups: list[tuple[Links, FloatArray, FloatArray, Markings]],
 ) -> None:
     rng = np.random.default_rng(0)
@@ -145,7 +145,7 @@ def line(rows: FloatArray, place: float, slope: float) -> FloatArray:
     return np.stack([rows, place + slope * (rows - 450)], axis=1)
 
 
-def test_dashes_of_one_line_are_joined_and_those_of_two_are_not() -> None:
+def test_dashes_of_one_line_are_joined_and_dashes_of_two_are_not() -> None:
     dashes = [np.arange(first, first + 25.0) for first in (290, 370, 470, 600)]
     seeds = markings_of(
         [line(rows, place, slope) for place, slope in ((500, -1.2), (900, 1.3)) for rows in dashes]

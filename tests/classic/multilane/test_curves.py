@@ -43,7 +43,7 @@ def best_by_numpy(
 
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_best_of_random_curves_is_that_of_plain_numpy(seed: int, degree: int) -> None:
+def test_the_best_of_random_curves_equals_plain_numpy(seed: int, degree: int) -> None:
     rng = np.random.default_rng(seed)
     t, u = marked(rng, np.array([20.0, -150, 40]))
     t[5] = t[6]
@@ -70,7 +70,7 @@ def test_a_consensus_leaves_strays_out_and_bends_only_where_that_holds_more(
 
 @settings(max_examples=50, deadline=None)
 @given(pixels, pixels, pixels, st.integers(1, 2))
-def test_a_fit_is_that_of_polyfit_and_is_mirrored_with_its_points(
+def test_a_fit_equals_polyfit_and_is_mirrored_with_its_points(
     a: float, b: float, c: float, degree: int
 ) -> None:
     rng = np.random.default_rng(0)

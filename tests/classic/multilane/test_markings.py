@@ -59,7 +59,7 @@ def limits(rows: int) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_edge_pairs_are_those_of_plain_numpy(seed: int) -> None:
+def test_edge_pairs_equal_plain_numpy(seed: int) -> None:
     grey = blurred(seed)
     row, left, right = edge_pairs(grey, 0, *limits(len(grey)), 0.4)
     assert list(zip(row, left, right, strict=True)) == pairs_by_numpy(grey, *LIMITS, 0.4)
@@ -94,7 +94,7 @@ def seeds_by_python(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_seeds_are_those_of_plain_python(seed: int) -> None:
+def test_seeds_equal_plain_python(seed: int) -> None:
     rng = np.random.default_rng(seed)
     row = np.sort(rng.integers(0, 40, 120))
     left = rng.integers(0, 60, 120) / 2
@@ -104,7 +104,7 @@ def test_seeds_are_those_of_plain_python(seed: int) -> None:
     assert found.max() < 110
 
 
-def test_the_lines_of_a_road_are_seeds_and_a_blank_road_has_none() -> None:
+def test_the_lines_of_a_road_are_seeds_and_a_blank_road_has_no_seeds() -> None:
     where = road_of(CAMERA, 40.0, 0.078, 0.3)
     markings = find_markings(road(THREE)[:, :, 0].copy(), where)
     _, y = image_to_road(CAMERA, markings.u, markings.row)
@@ -118,7 +118,7 @@ def test_the_lines_of_a_road_are_seeds_and_a_blank_road_has_none() -> None:
     assert not len(blank)
 
 
-def test_what_the_camera_ignores_has_no_markings() -> None:
+def test_ignored_parts_have_no_markings() -> None:
     right_half = (240, 0, 480, 270)
     where = road_of(replace(CAMERA, ignore=(right_half,)), 40.0, 0.078, 0.3)
     markings = find_markings(road(THREE)[:, :, 0].copy(), where)

@@ -146,9 +146,9 @@ def test_mirrored_pictures_have_mirrored_lines() -> None:
 @needs_compiler
 def test_a_drawn_lane_change_is_followed_line_by_line() -> None:
     lines = (*FOUR, Paint(9.0))
-    said = run(drive(50, lines, sideways_m=0.09))
+    found = run(drive(50, lines, sideways_m=0.09))
     turned = []
-    for k, now in enumerate(said[12:], start=12):
+    for k, now in enumerate(found[12:], start=12):
         true = 1.8 - 0.09 * k
         nearest = int(np.abs(now.offset_m - true).argmin())
         assert now.offset_m[nearest] == pytest.approx(true, abs=0.3)

@@ -41,11 +41,15 @@ def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tm
     corners = find_board(part, 9, 6)
     part[int(np.median(corners[:, 1])) :] = 220
     cv2.imwrite(str(tmp_path / "x_part.png"), part)
+    (tmp_path / "x_text.png").write_text("no picture")
     lens = calibrate_lens(sorted(tmp_path.iterdir()))
-    said = {line.split(": ")[0].rsplit("/", 1)[1]: line for line in lens.skipped}
-    assert "no chessboard of 9x6" in said["x_empty.png"]
-    assert "640x480, most are 1280x720" in said["x_small.png"]
-    assert "no chessboard of 9x6" in said["x_part.png"]
+    reasons = {line.split(": ")[0].rsplit("/", 1)[1]: line for line in lens.skipped}
+    assert "no chessboard of 9x6" in reasons["x_empty.png"]
+    assert "640x480, most are 1280x720" in reasons["x_small.png"]
+    assert "no chessboard of 9x6" in reasons["x_part.png"]
+    assert "is not a picture that can be read" in reasons["x_text.png"]
+    with pytest.raises(InputError, match=r"0 of 1 pictures.*; .*x_text.png: is not a picture"):
+        calibrate_lens([tmp_path / "x_text.png"])
     assert tmp_path / "x_part.png" not in lens.rms_px
 
 

@@ -71,9 +71,12 @@ def test_a_camera_is_recovered_from_lines_found_in_stills(stills):
 def test_a_still_of_another_size_or_no_picture_is_named(stills, tmp_path):
     cv2.imwrite(str(tmp_path / "low.png"), np.zeros((600, 1280, 3), np.uint8))
     (tmp_path / "text.png").write_text("no picture")
-    for name, said in (("low", "a picture of 1280x600"), ("text", "is no picture that can be")):
+    for name, message in (
+        ("low", "a picture of 1280x600"),
+        ("text", "is not a picture that can be"),
+    ):
         path = tmp_path / f"{name}.png"
-        with pytest.raises(InputError, match=f"{path}: {said}"):
+        with pytest.raises(InputError, match=f"{path}: {message}"):
             find_in_stills(unturned(TRUE), [*sorted(stills.iterdir()), path])
 
 

@@ -67,7 +67,7 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
 
 
 @pytest.mark.parametrize(
-    ("height", "width", "said"),
+    ("height", "width", "message"),
     [
         (1.4, 3.6, ""),
         (2.8, 3.6, ""),
@@ -79,12 +79,12 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
     ],
 )
 def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(
-    height: float, width: float, said: str
+    height: float, width: float, message: str
 ) -> None:
     """The lanes are 3.6 m wide."""
     true = replace(PLAIN, height_m=height, pitch_deg=-2.0)
     view = view_of_lines(true, PLAIN, [lines_of(true, (-5.4, -1.8, 1.8, 5.4))] * 3, width)
     assert view.camera.lane_width_m == width
     doubt = doubts_of(view)
-    assert bool(doubt) == bool(said)
-    assert said in doubt
+    assert bool(doubt) == bool(message)
+    assert message in doubt

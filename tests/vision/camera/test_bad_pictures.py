@@ -26,7 +26,9 @@ def test_a_file_that_is_no_picture_is_refused(
     whole = write(tmp_path / "whole.jpg", images(1)[0]).read_bytes()
     for content in (b"", whole[:99]):
         (tmp_path / "cut.jpg").write_bytes(content)
-        with pytest.raises(InputError, match=r"cut\.jpg: is no picture that can be read \(missing"):
+        with pytest.raises(
+            InputError, match=r"cut\.jpg: is not a picture that can be read \(missing"
+        ):
             read_image(tmp_path / "cut.jpg")
     # OpenCV's own words, in another form, would stand beside the one line.
     assert "WARN" not in capfd.readouterr().err
@@ -34,6 +36,36 @@ def test_a_file_that_is_no_picture_is_refused(
 
 def read_all(folder: Path) -> int:
     return len(list(read_pictures(open_source(folder), CAMERA)))
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "ids"),
+    [([2], None, [0, 1, 3]), ([0], None, [1, 2, 3]), ([1], [3], [0, 2]), ([0, 1], [1], [2, 3])],
+)
+def test_frames_with_a_damaged_picture_are_left_out_with_a_warning(
+    tmp_path: Path, left: list[int], right: list[int] | None, ids: list[int]
+) -> None:
+    shades = [np.full((CAMERA.height, CAMERA.width, 3), 50 * k, np.uint8) for k in range(4)]
+    places = [write_pictures(tmp_path / name, shades) for name in ("left", "right")]
+    for folder, damaged in zip(places, (left, right or []), strict=True):
+        for k in damaged:
+            (folder / f"{k}.png").write_bytes(b"no picture")
+    one, other = map(open_source, places)
+    first = f"left out {4 - len(ids)} of 4 frames whose picture cannot be read, first {places[0]}"
+    with pytest.warns(UserWarning, match=f"^{places[0]}: {first}/{left[0]}.png: is not a picture"):
+        found = list(read_pictures(one, CAMERA, None if right is None else other))
+    assert [picture.frame_id for picture in found] == ids
+    assert [int(picture.image.mean()) // 50 for picture in found] == ids
+    if right is not None:
+        assert [int(picture.right.mean()) // 50 for picture in found] == ids
+
+
+def test_pictures_that_are_all_damaged_are_refused_with_the_first(tmp_path: Path) -> None:
+    folder = write_pictures(tmp_path / "p", images(2))
+    for k in range(2):
+        (folder / f"{k}.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"p/0\.png: is not a picture that can be read"):
+        read_all(folder)
 
 
 @pytest.mark.parametrize(

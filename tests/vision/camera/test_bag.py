@@ -58,7 +58,7 @@ def test_each_encoding_gives_the_picture_back(tmp_path: Path, encoding: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("encoding", "topics", "said"),
+    ("encoding", "topics", "message"),
     [
         (
             "8UC2",
@@ -70,18 +70,18 @@ def test_each_encoding_gives_the_picture_back(tmp_path: Path, encoding: str) -> 
     ],
 )
 def test_pictures_that_cannot_be_read_are_refused(
-    tmp_path: Path, encoding: str, topics: tuple[str, ...], said: str
+    tmp_path: Path, encoding: str, topics: tuple[str, ...], message: str
 ) -> None:
     image = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
     bag = write_images(tmp_path / "bag", [image] * 2, encoding, topics)
     with pytest.raises(InputError) as info:
         list(read_pictures(open_source(bag), CAMERA))
-    assert said in str(info.value)
+    assert message in str(info.value)
 
 
 def test_a_topic_without_pictures_is_refused_with_those_that_have_some(place: Path) -> None:
     words = ("--camera", place / "cam.yaml", "-o", place / "l.csv")
-    said = refused("detect", place / "images", "--set", "recording.topic=/rear", *words)
-    assert "no pictures on /rear; topics of pictures: /front" in said
+    message = refused("detect", place / "images", "--set", "recording.topic=/rear", *words)
+    assert "no pictures on /rear; topics of pictures: /front" in message
     with pytest.raises(InputError, match="only a bag has topics"):
         open_source(place / "drive.avi", "/a")

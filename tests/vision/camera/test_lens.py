@@ -49,20 +49,21 @@ cam1: {camera_model: pinhole, intrinsics: [1.0, 1.0, 1.0, 1.0], resolution: [10,
 """
 
 BENDS = (-0.27, 0.09, 0.001, -0.002)
+RATIONAL = (0.4, 0.05, -0.003, 0.002, 0.01, 0.7, 0.1, 0.02)
 
 
 def _filled(text: str, model: str, bends: tuple[float, ...] = BENDS) -> str:
     return text.replace("MODEL", model).replace("BENDS", str(list(bends)))
 
 
-def _opencv(path: Path) -> None:
+def _opencv(path: Path, bends: tuple[float, ...]) -> None:
     """A file as OpenCV's calibration sample writes it."""
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("calibration_time", "Tue Dec  1 10:00:00 2026")
     storage.write("image_width", 1280)
     storage.write("image_height", 720)
     storage.write("camera_matrix", np.reshape(MATRIX, (3, 3)))
-    storage.write("distortion_coefficients", np.array([[*BENDS, 0.0]]))
+    storage.write("distortion_coefficients", np.array([bends]))
     storage.write("height_m", 1.3)
     storage.release()
 
@@ -76,22 +77,26 @@ def _opencv(path: Path) -> None:
         (_filled(MESSAGE, "plumb_bob", (*BENDS, 0.0)), "plumb_bob"),
         (_filled(KALIBR, "radtan"), "plumb_bob"),
         (_filled(KALIBR, "equidistant"), "equidistant"),
+        (_filled(MESSAGE, "rational_polynomial", RATIONAL), "rational_polynomial"),
         (".yaml", "plumb_bob"),
+        (".yaml", "rational_polynomial"),
         (".xml", "plumb_bob"),
     ],
 )
 def test_the_lens_is_read_and_the_mounting_is_asked_for(
     tmp_path: Path, text: str, lens: str
 ) -> None:
+    bends = {"plumb_bob": (*BENDS, 0.0), "equidistant": BENDS, "rational_polynomial": RATIONAL}[
+        lens
+    ]
     path = tmp_path / ("camera" + (text if text.startswith(".") else ".yaml"))
     if text.startswith("."):
-        _opencv(path)
+        _opencv(path, bends)
     else:
         path.write_text(text)
         with pytest.raises(InputError, match=r"height_m: is missing; the file has the lens only"):
             read_camera(path)
         path.write_text(f"{text}\nheight_m: 1.3\n")
-    bends = BENDS if lens == "equidistant" else (*BENDS, 0.0)
     expected = Camera(
         1280, 720, 900.0, 910.0, 640.0, 360.0, height_m=1.3, lens=lens, distortion=bends
     )
@@ -103,12 +108,18 @@ def test_the_lens_is_read_and_the_mounting_is_asked_for(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (_filled(ROS, "mei"), "distortion_model: 'mei' is not one of plumb_bob, radtan, none,"),
+        (_filled(ROS, "mei"), "distortion_model: 'mei' is not one of plumb_bob, rational_"),
         (_filled(MESSAGE, "plumb_bob", (*BENDS, 0.0, 0.1, 0.0, 0.0)), "D: has more than the 5"),
         (_filled(MESSAGE, "plumb_bob", (0.1,)), "D: needs 0 or 2 or 4 or 5 or 8 or 12 or 14"),
         (_filled(KALIBR, "none").replace("pinhole", "omni"), "camera_model: 'omni' is not pinhole"),
         (_filled(KALIBR, "none").replace("[900.0, ", "["), "intrinsics: needs 4 or 9 numbers"),
-        ("<?xml", "is no FileStorage of OpenCV that can be read"),
+        ("%YAML:1.0\n---\nmodel_type: MEI\nxi: {a: 1}\n", "model_type: 'MEI' is not pinhole"),
+        ("%YAML:1.0\n---\na:\n   b: {c: [1, {d: 2}]}\n", "unknown key 'a'"),
+        (f"%YAML:1.0\n---\na: {'{a: ' * 3000}1{'}' * 3000}\n", "is not a FileStorage"),
+        ("%YAML:1.0\n---\na: {data: 1}\n", "is not a FileStorage"),
+        ("%YAML:1.0\n---\na: !!opencv-matrix\n   data: null\n", "is not a FileStorage"),
+        ("%YAML:1.0\n---\n- 1\n", "is not a FileStorage"),
+        ("<?xml", "is not a FileStorage of OpenCV that can be read"),
     ],
 )
 def test_another_lens_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:

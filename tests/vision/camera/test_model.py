@@ -17,7 +17,6 @@ from egolane_pgm.vision.camera.model import (
     axes,
     distorted,
     image_to_road,
-    matrix,
     read_camera,
     road_to_image,
     scaled,
@@ -61,20 +60,25 @@ def test_the_axes_of_a_camera_are_at_right_angles_and_right_handed(camera):
     np.testing.assert_allclose(np.cross(right, down), -forward, atol=1e-12)
 
 
-def test_what_is_behind_the_camera_is_not_in_the_picture():
+def test_points_behind_the_camera_are_not_in_the_picture():
     u, v = road_to_image(replace(LEVEL, distortion=LENS), [-5.0, 0.0, 5.0], 0.0)
     assert np.isnan(u).tolist() == np.isnan(v).tolist() == [True, True, False]
 
 
 #: Every coefficient matters.
 STRONG = (-0.2485, 0.05, -0.003, 0.002, -0.02)
+RATIONAL = (0.4, 0.05, -0.003, 0.002, 0.01, 0.7, 0.1, 0.02)
 
 
-def test_the_lens_is_opencvs():
-    camera = replace(LEVEL, fy=980.0, distortion=STRONG)
+@pytest.mark.parametrize(
+    ("lens", "bends"), [("plumb_bob", STRONG), ("rational_polynomial", RATIONAL)]
+)
+def test_the_lens_is_opencvs(lens, bends):
+    camera = replace(LEVEL, fy=980.0, lens=lens, distortion=bends)
     u, v = (part.ravel() for part in np.meshgrid(np.linspace(0, 1279, 9), np.linspace(0, 719, 7)))
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 0 * u + 1], axis=-1)
-    there = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix(camera), np.array(STRONG))[0]
+    pinhole = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    there = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), pinhole, np.array(bends))[0]
     np.testing.assert_allclose(distorted(camera, u, v), there[:, 0].T, atol=1e-6)
     np.testing.assert_allclose(undistorted(camera, *there[:, 0].T), [u, v], atol=1e-2)
 

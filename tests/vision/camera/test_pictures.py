@@ -28,5 +28,5 @@ def test_the_order_of_pictures_is_natural_and_their_id_the_number_that_counts(
             cv2.imwrite(str(tmp_path / folder / name), blank)
         (tmp_path / folder / "notes.txt").write_text("no picture")
         source = open_source(tmp_path / folder)
-        read = [(Path(file).name, frame_id) for frame_id, file, _ in images_of(source, None)]
+        read = [(Path(file).name, k) for k, (file,), _ in images_of([source], None)]
         assert read == list(zip(names, ids, strict=True))

@@ -9,25 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from egolane_pgm.contracts import Detector
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.runner import Detector, detect, find_detector, start
+from egolane_pgm.vision.detectors.runner import ReadyDetector, detect, find_detector, start
 from makers.camera import carnd, clips, lane_change
 from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 from tests.kits.tiny_network import top_hat_file
 
 OWN = str(Path(__file__).parents[3] / "examples" / "my_detector.py")
-NAMES = [*plugin_names("detectors"), OWN]
+NAMES = [*plugin_names(Detector), OWN]
 N_FRAMES = 14
 
 #: Detections that make a line valid, and the share of them below which it is not any more.
 MOST, UNTIL = 10, 0.5
 
 
-def load(name: str) -> Detector:
+def load(name: str) -> ReadyDetector:
     given = {}
     if name == "network":
         given["network"] = str(top_hat_file(CAMERA.width, CAMERA.height))
@@ -56,7 +57,7 @@ def run(name: str, pictures: Sequence[Picture]) -> list[FrameLines]:
 
 
 @pytest.fixture(scope="module")
-def said(pictures: list[Picture]) -> dict[str, list[FrameLines]]:
+def detected(pictures: list[Picture]) -> dict[str, list[FrameLines]]:
     return {name: run(name, pictures) for name in NAMES}
 
 
@@ -66,9 +67,9 @@ def same(one: FrameLines, other: FrameLines) -> bool:
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "mld"])
-def test_a_line_is_valid_by_hysteresis(name: str, said: dict[str, list[FrameLines]]) -> None:
+def test_a_line_is_valid_by_hysteresis(name: str, detected: dict[str, list[FrameLines]]) -> None:
     before: FrameLines | None = None
-    for lines in said[name]:
+    for lines in detected[name]:
         for k in range(len(lines.lri)):
             was_valid = False
             if before is not None and len(before.lri):
@@ -82,21 +83,21 @@ def test_a_line_is_valid_by_hysteresis(name: str, said: dict[str, list[FrameLine
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_lines_next_to_the_car_are_found_and_then_lost(
-    name: str, said: dict[str, list[FrameLines]]
+    name: str, detected: dict[str, list[FrameLines]]
 ) -> None:
-    seen = said[name][N_FRAMES - 1]
+    seen = detected[name][N_FRAMES - 1]
     found = seen.offset_m[seen.is_valid]
     # The example sees no dashes.
     for true in (-5.2, 1.8) if name == OWN else (-5.2, -1.7, 1.8):
         assert np.abs(found - true).min() < 0.15
-    assert not said[name][-1].is_valid.any()
+    assert not detected[name][-1].is_valid.any()
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in (OWN, "mld")])
-def test_dashed_and_continuous_lines_are_told_apart(
-    name: str, said: dict[str, list[FrameLines]]
+def test_dashed_and_continuous_lines_are_distinguished(
+    name: str, detected: dict[str, list[FrameLines]]
 ) -> None:
-    seen = said[name][N_FRAMES - 1]
+    seen = detected[name][N_FRAMES - 1]
     for true, is_continuous in ((-1.7, False), (1.8, True)):
         nearest = int(np.abs(seen.offset_m - true).argmin())
         assert seen.is_continuous[nearest] == is_continuous
@@ -104,20 +105,20 @@ def test_dashed_and_continuous_lines_are_told_apart(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_later_picture_changes_no_earlier_line(
-    name: str, pictures: list[Picture], said: dict[str, list[FrameLines]]
+    name: str, pictures: list[Picture], detected: dict[str, list[FrameLines]]
 ) -> None:
     other = [*pictures[:12], *drive(3, (Paint(0.4),), stereo=True, first=12)]
-    for ours, then in zip(run(name, other)[:12], said[name], strict=False):
+    for ours, then in zip(run(name, other)[:12], detected[name], strict=False):
         assert same(ours, then)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_pictures_give_the_same_lines_and_two_drives_share_nothing(
-    name: str, pictures: list[Picture], said: dict[str, list[FrameLines]]
+    name: str, pictures: list[Picture], detected: dict[str, list[FrameLines]]
 ) -> None:
     first, second = begin(name), begin(name)
     for k in range(12):
-        assert same(first(pictures[k]), said[name][k])
+        assert same(first(pictures[k]), detected[name][k])
         second(pictures[-1 - k])
 
 
@@ -135,7 +136,7 @@ def test_a_lane_change_is_followed_line_by_line(name: str, sideways: float) -> N
         assert np.abs(where[-1] - offset).min() < 0.3
 
 
-def test_lines_that_are_not_what_the_contract_says_are_refused(tmp_path: Path) -> None:
+def test_lines_that_break_the_contract_are_refused(tmp_path: Path) -> None:
     cases = {
         "return 7": "gave int, not FrameLines",
         "return FrameLines(np.zeros((1, 4)) * np.nan, yes, yes, one)": "shape is not finite",

@@ -36,7 +36,7 @@ def start(camera, parameters):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "expected"),
     [
         ("shape", np.zeros((1, 3)), r"shape needs a NumPy array of numbers, \(1, 4\)"),
         ("is_valid", np.array([0.5]), "is_valid needs a NumPy array of True or False"),
@@ -45,28 +45,28 @@ def start(camera, parameters):
         ("lri", np.array([-1.0]), "a line's lri is not a count of detections"),
     ],
 )
-def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> None:
+def test_lines_of_another_kind_are_refused(name: str, value: Any, expected: str) -> None:
     FrameLines(**GOOD)
-    with pytest.raises(InputError, match=f"^lines: {said}"):
+    with pytest.raises(InputError, match=f"^lines: {expected}"):
         FrameLines(**{**GOOD, name: value})
 
 
 @pytest.mark.parametrize(
-    ("more", "lri", "said"),
+    ("more", "lri", "expected"),
     [
         ("", "np.nan", "frame 0: lines: lri is not finite"),
         ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS: needs tuple[Parameter, ...], got"),
     ],
 )
 def test_an_own_detector_that_keeps_no_promise_is_named(
-    place: Path, tmp_path: Path, more: str, lri: str, said: str
+    place: Path, tmp_path: Path, more: str, lri: str, expected: str
 ) -> None:
     own = tmp_path / "own.py"
     own.write_text(OWN.format(more=more, lri=lri))
     target = tmp_path / "l.csv"
     words = ["detect", place / "drive.avi", "--camera", place / "cam.yaml"]
     message = refused(*words, "--detector", own, "-o", target)
-    assert said in message
+    assert expected in message
     assert "own.py" in message
     assert not target.exists()
 

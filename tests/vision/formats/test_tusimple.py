@@ -55,6 +55,20 @@ def test_a_clip_is_numbered_by_its_folder_and_a_picture_by_its_name(tmp_path: Pa
         assert log.frame_id.tolist() == [7, 40]
 
 
+@pytest.mark.parametrize(("first", "n_rows"), [(240, 48), (160, 56)])
+def test_results_for_the_benchmark_have_its_own_rows(
+    tmp_path: Path, first: int, n_rows: int
+) -> None:
+    result = {"raw_file": "a/1.jpg", "lanes": [[600 - 3 * k for k in range(n_rows)]]}
+    rows = list(range(first, 720, 10))
+    log, same = (
+        read(tusimple(tmp_path / "a.jsonl", [each]))
+        for each in (result, result | {"h_samples": rows})
+    )
+    assert np.isfinite(log.offset_m).all()
+    np.testing.assert_array_equal(log.offset_m, same.offset_m)
+
+
 @given(st.lists(st.floats(-8, 8), min_size=1, max_size=1), st.floats(-0.03, 0.03))
 def test_an_offset_comes_back_whatever_the_heading(offsets: list[float], heading: float) -> None:
     x = np.linspace(5, 45, 30)
@@ -128,24 +142,30 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"lanes": [[1.0, 2.0]]}, f"line 2: lane 1 has 2 values for {len(ROWS)} h_samples"),
         ({"lanes": [["x"] * len(ROWS)]}, "line 2: lane 1 is not a list of numbers"),
         ({"h_samples": [float("nan")] * len(ROWS)}, "h_samples is not a list of numbers"),
         ({"raw_file": "clips/0313-1/1/20.jpg"}, "line 2: frame 1 is there twice"),
+        ({"raw_file": 5}, "line 2: has no raw_file (str), which TuSimple's"),
+        ({"raw_file": f"a/{'9' * 19}.jpg"}, "999' has no frame number in it"),
+        ({"lanes": None}, "line 2: has no lanes (list), which TuSimple's"),
+        ({"classes": 1}, "line 2: classes needs one class for each of"),
     ],
 )
 def test_a_bad_picture_is_refused_with_its_line(
-    tmp_path: Path, change: dict[str, Any], said: str
+    tmp_path: Path, change: dict[str, Any], message: str
 ) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1), {**entry(2), **change}])
-    assert said in whats_wrong(path)
+    assert message in whats_wrong(path)
 
 
 def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"events": [1]}')
-    with pytest.raises(InputError, match="line 1: has no raw_file, which TuSimple's format needs"):
+    with pytest.raises(
+        InputError, match=r"line 1: has no raw_file \(str\), which TuSimple's format needs"
+    ):
         read_tusimple(tmp_path / "a.json")
 
 
@@ -154,5 +174,5 @@ def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Pa
     up = Camera(
         width=1280, height=720, fx=1040, fy=1040, cx=640, cy=360, height_m=1.6, pitch_deg=40
     )
-    said = whats_wrong(path, camera=up)
-    assert "no line has two points on the road within 25 m ahead of this camera" in said
+    message = whats_wrong(path, camera=up)
+    assert "no line has two points on the road within 25 m ahead of this camera" in message

@@ -10,19 +10,27 @@ from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.vision.detectors.networks.description import OUTPUTS, READY, ready_networks
 from egolane_pgm.vision.detectors.networks.running import Shape, lengths, read_onnx, shape_text
 
-#: Lengths of a candidate of LaneATT and CLRNet. Row anchors have no more lines than the second
-#: value, and masks are wider.
-_CANDIDATES, _MOST_LINES = (77, 78), 12
+#: Lengths of a candidate of LaneATT and CLRNet, values.
+_CANDIDATES = (77, 78)
+
+#: The largest number of lines of row anchors; masks are wider.
+_MOST_LINES = 12
 
 
 def describe_onnx(onnx: Path) -> str:
     """Return the inputs, the outputs and the layouts that fit, with the ready networks of each.
 
-    Raises InputError for a file that is no ONNX.
+    Raises InputError for a file that is not ONNX.
     """
     declared = read_onnx(onnx, "network")
     lines = [f"takes {name}: {shape_text(shape)}" for name, shape in declared.inputs.items()]
     lines += [f"gives {name}: {shape_text(shape)}" for name, shape in declared.outputs.items()]
+    if not any(map(_is_picture, declared.inputs.values())):
+        lines.append(
+            "no layout fits: the network takes no pictures of 1 x 3 x height x width; export it"
+            " with the three colours before height and width"
+        )
+        return "\n".join(lines)
     for layout in sorted(OUTPUTS, key=lambda layout: -len(OUTPUTS[layout])):
         if _fits(layout, declared.outputs):
             files = {name: read_yaml(READY / f"{name}.yaml", "") for name in ready_networks()}
@@ -31,6 +39,10 @@ def describe_onnx(onnx: Path) -> str:
     if len(lines) == len(declared.inputs) + len(declared.outputs):
         lines.append("no layout fits (docs/networks.md has the shapes of each)")
     return "\n".join(lines)
+
+
+def _is_picture(shape: Shape) -> bool:
+    return shape is None or (len(shape) == 4 and shape[1] in (None, 3))
 
 
 def _fits(layout: str, declared: Mapping[str, Shape]) -> bool:

@@ -45,8 +45,13 @@ ROWS = {
     ),
 }
 
-#: The layouts of the keys that some layouts only have, and those that need the key.
-_MASKS, _ANCHORS = ("lanes", "instances"), ("row_anchors", "hybrid_anchors")
+#: The layouts with a mask of each line or class.
+_MASKS = ("lanes", "instances")
+
+#: The layouts with anchors in rows.
+_ANCHORS = ("row_anchors", "hybrid_anchors")
+
+#: For each key, the layouts that have it and those that need it.
 _LAYOUTS = {
     "classes": ((*_MASKS, "row_anchors", "prototypes"), (*_MASKS, "row_anchors")),
     "channels": (_MASKS, ()),
@@ -147,8 +152,8 @@ def ready_networks() -> list[str]:
 
 
 def read_network(path: str | Path) -> Network:
-    """Read the YAML file of a network. For the name of a ready network, or if the file does not
-    exist, the ready YAML is used, with an ONNX file in that folder.
+    """Read the YAML file of a network. The ready YAML is used for the name of a ready network, and
+    if the file does not exist, with an ONNX file in that folder.
 
     Raises InputError for a file that is absent, and for a key that does not fit.
     """
@@ -157,6 +162,6 @@ def read_network(path: str | Path) -> Network:
     file = path if path.is_file() else READY / path.name
     if not file.is_file():
         hint = suggestion(path.name, ready_networks())
-        raise InputError(f"network: '{path}' is no YAML of a network (docs/networks.md){hint}")
+        raise InputError(f"network: '{path}' is not the YAML of a network (docs/networks.md){hint}")
     network = validated(Network, read_yaml(file, "model: lanes.onnx"), str(path))
     return network.model_copy(update={"model": str(path.parent / network.model)})

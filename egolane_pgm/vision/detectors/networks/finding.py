@@ -19,18 +19,29 @@ from egolane_pgm.vision.detectors.simple.finder import Finder
 from egolane_pgm.vision.detectors.simple.fit import APART_M, Found, find_lines
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
-#: Points of lines that are farther ahead, or to the side, are left out, metres.
-_FARTHEST_M, _ASIDE_M = 150.0, 100.0
+#: Points of lines farther ahead are left out, metres.
+_FARTHEST_M = 150.0
 
-#: Shortest line that is fitted, distance of its positions, and distance ahead at which lines are
-#: compared, metres.
-_LEAST_M, _STEP_M, _COMPARED_M = 3.0, 1.0, 10.0
+#: Points of lines farther to the side are left out, metres.
+_ASIDE_M = 100.0
+
+#: The shortest line that is fitted, metres.
+_LEAST_M = 3.0
+
+#: Distance between the positions of a fitted line, metres.
+_STEP_M = 1.0
+
+#: Distance ahead at which lines are compared, metres.
+_COMPARED_M = 10.0
 
 #: Prior precision of offset, heading (m/m), curvature (1/m) and its rate (1/m^2) around 0.
 _USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
 
-#: Standard deviation of a position, metres, and its growth per metre ahead.
-_NEAR_SD_M, _SD_PER_M = 0.05, 0.01
+#: Standard deviation of a position next to the car, metres.
+_NEAR_SD_M = 0.05
+
+#: Growth of a position's standard deviation per metre ahead.
+_SD_PER_M = 0.01
 
 
 def looker(network: Network, camera: Camera) -> Callable[[Picture], Image | list[Line]]:
@@ -76,7 +87,8 @@ def _shape(view: BirdsEye, line: Line, n: int) -> FloatArray | None:
     x, y = image_to_road(view.camera, *line.points.T)
     # Points above the horizon are not on the road.
     near = np.isfinite(x) & (x > 0) & (x < _FARTHEST_M) & (np.abs(y) < _ASIDE_M)
-    x, y = x[near], y[near]
+    x = x[near]
+    y = y[near]
     order = np.argsort(x)
     at = np.arange(view.x_m[-1], view.x_m[0], _STEP_M)
     at = at[(at >= x.min(initial=np.inf)) & (at <= x.max(initial=-np.inf))]

@@ -25,8 +25,11 @@ _SHARES = {"tusimple": (160 / 720, 710 / 720), "culane": (0.42, 1.0)}
 #: columns; the last number is the least share of anchors of a line (`pred2coords` of its demo.py).
 _ANCHORS = (("row", (1, 2), 1 / 2), ("col", (0, 3), 1 / 4))
 
-#: Largest overlap of two boxes of a class, and least probability of a pixel in a mask.
-_OVERLAP, _INSIDE = 0.7, 0.5
+#: Largest overlap of two boxes of a class.
+_OVERLAP = 0.7
+
+#: Least probability of a pixel in a mask.
+_INSIDE = 0.5
 
 #: Position of a polyline's start among the numbers of a candidate.
 _START = 2
@@ -88,16 +91,20 @@ def _middle(network: Network, share: FloatArray, least: float) -> FloatArray:
     total = weight.sum(axis=1)
     rows = np.flatnonzero(total)
     at = (weight[rows] @ np.arange(weight.shape[1])) / total[rows]
-    across, down = network.size[0] / weight.shape[1], network.size[1] / weight.shape[0]
+    across = network.size[0] / weight.shape[1]
+    down = network.size[1] / weight.shape[0]
     return np.stack([(at + 0.5) * across - 0.5, (rows + 0.5) * down - 0.5], axis=1)
 
 
 def _prototypes(network: Network, outputs: Outputs) -> list[Line]:
     """YOLO: each box has a class and coefficients of common masks."""
-    common, boxes = outputs["prototypes"], outputs["boxes"].T
+    common = outputs["prototypes"]
+    boxes = outputs["boxes"].T
     classes, coefficients = np.split(boxes[:, 4:], [-len(common)], axis=1)
-    share, kind = classes.max(axis=1), classes.argmax(axis=1)
-    first, size = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, 2:4]
+    share = classes.max(axis=1)
+    kind = classes.argmax(axis=1)
+    first = boxes[:, :2] - boxes[:, 2:4] / 2
+    size = boxes[:, 2:4]
     rectangles = np.concatenate([first, size], axis=1).tolist()
     kept = cv2.dnn.NMSBoxesBatched(
         rectangles, share.tolist(), kind.tolist(), network.threshold, _OVERLAP
@@ -107,7 +114,8 @@ def _prototypes(network: Network, outputs: Outputs) -> list[Line]:
     rows, columns = np.mgrid[:height, :width]
     lines = []
     for k in np.array(kept, dtype=np.int64).ravel():
-        (left, upper), (right, lower) = first[k] * scale, (first[k] + size[k]) * scale
+        left, upper = first[k] * scale
+        right, lower = (first[k] + size[k]) * scale
         inside = (columns >= left) & (columns < right) & (rows >= upper) & (rows < lower)
         mask = expit(np.tensordot(coefficients[k], common, axes=1)) * inside
         lines.append(Line(_middle(network, mask, _INSIDE), share[k], int(kind[k])))
@@ -142,8 +150,10 @@ def _hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:
 
     lines = []
     for axis, which, least in _ANCHORS:
-        cells, exists = outputs[f"loc_{axis}"], outputs[f"exist_{axis}"]
-        is_line, likely = exists.argmax(axis=0) == 1, softmax(exists, axis=0)[1]
+        cells = outputs[f"loc_{axis}"]
+        exists = outputs[f"exist_{axis}"]
+        is_line = exists.argmax(axis=0) == 1
+        likely = softmax(exists, axis=0)[1]
         away = np.abs(np.arange(len(cells))[:, None, None] - cells.argmax(axis=0))
         weight = softmax(np.where(away <= 1, cells, -np.inf), axis=0)
         at = (np.tensordot(np.arange(len(cells)), weight, axes=1) + 0.5) / (len(cells) - 1)
@@ -155,7 +165,8 @@ def _hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:
             seen = is_line[:, line]
             if seen.sum() <= len(seen) * least:
                 continue
-            across, along = at[seen, line], anchors[seen]
+            across = at[seen, line]
+            along = anchors[seen]
             u, v = (across * width - 0.5, along) if axis == "row" else (along, row_of(across))
             lines.append(Line(np.stack([u, v], axis=1), float(likely[seen, line].mean())))
     return lines
@@ -164,7 +175,8 @@ def _hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:
 def _polylines(network: Network, outputs: Outputs) -> list[Line]:
     """CLRNet, LaneATT: x in evenly spaced rows from the bottom to the top, from the start of each
     probable candidate over its length."""
-    values, first_x = outputs["candidates"], network.length + 1
+    values = outputs["candidates"]
+    first_x = network.length + 1
     share = softmax(values[:, :2], axis=1)[:, 1]
     x_scale = 1.0 if network.in_pixels else network.size[0] - 1
     steps = values.shape[1] - first_x - 1

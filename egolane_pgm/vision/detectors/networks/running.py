@@ -61,8 +61,10 @@ def fit_of(network: Network, width: int, height: int) -> Fit:
     if network.letterbox is None:
         return Fit(width, height, top, 0, 0, wide, high)
     ratio = min(wide / width, high / (height - top))
-    inner_w, inner_h = max(round(width * ratio), 1), max(round((height - top) * ratio), 1)
-    left, upper = (wide - inner_w) // 2, (high - inner_h) // 2
+    inner_w = max(round(width * ratio), 1)
+    inner_h = max(round((height - top) * ratio), 1)
+    left = (wide - inner_w) // 2
+    upper = (high - inner_h) // 2
     return Fit(width, height, top, left, upper, inner_w, inner_h)
 
 
@@ -93,7 +95,7 @@ class Declared:
 
 def read_onnx(path: Path, where: str) -> Declared:
     """Read a network with its weights. Raises InputError, starting with `where`, for a file that
-    cannot be read or is no ONNX, and if weights are missing."""
+    cannot be read or is not an ONNX file, and if weights are missing."""
     with extra(f"{where}: {path}", "vision"):
         import onnx
         from google.protobuf.message import DecodeError
@@ -104,9 +106,11 @@ def read_onnx(path: Path, where: str) -> Declared:
         raise InputError(f"{where}: {path}: {error.strerror or error}") from None
     except (DecodeError, ValueError, onnx.checker.ValidationError) as error:
         reason = " ".join(str(error).split())[:240]
-        raise InputError(f"{where}: {path}: is no ONNX file that can be read: {reason}") from None
+        raise InputError(
+            f"{where}: {path}: is not an ONNX file that can be read: {reason}"
+        ) from None
     if not model.graph.output:
-        raise InputError(f"{where}: {path}: is no ONNX file")
+        raise InputError(f"{where}: {path}: is not an ONNX file")
 
     def shapes(ports: list[onnx.ValueInfoProto]) -> dict[str, Shape]:
         tensors = {port.name: port.type.tensor_type for port in ports}
@@ -126,7 +130,7 @@ def read_onnx(path: Path, where: str) -> Declared:
 def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
     """Load a network, try it, and make the function from a picture (H, W, 3) to its outputs.
 
-    Raises InputError for a file that is no ONNX or that OpenCV cannot run, for inputs or outputs
+    Raises InputError for a file that is not ONNX or that OpenCV cannot run, for inputs or outputs
     that differ from the YAML, and, while it runs, for an output that is not finite.
     """
     declared = read_onnx(Path(network.model), "model")
@@ -181,15 +185,16 @@ def _opencv_errors(message: str) -> Iterator[None]:
 
 
 def _picture_input(network: Network, declared: Declared) -> str:
-    """Return the name of the input for the picture. Raises InputError for other inputs than those
-    of the YAML."""
+    """Return the name of the input for the picture. Raises InputError if the
+    YAML has other inputs."""
     left = [name for name in declared.inputs if name not in network.inputs]
     if len(left) != 1 or len(declared.inputs) != len(network.inputs) + 1:
         raise InputError(
             f"inputs: the network takes {', '.join(declared.inputs)}; give the constant of each but"
             f" the picture, e.g. inputs: {{{(left or ['state'])[-1]}: 0}}"
         )
-    shape, needed = declared.inputs[left[0]], (1, 3, network.size[1], network.size[0])
+    shape = declared.inputs[left[0]]
+    needed = (1, 3, network.size[1], network.size[0])
     known = zip(shape or (), needed, strict=False)
     if shape is not None and (len(shape) != 4 or any(a not in (None, b) for a, b in known)):
         raise InputError(
@@ -201,7 +206,8 @@ def _picture_input(network: Network, declared: Declared) -> str:
 
 def _output_names(network: Network, declared: Declared) -> dict[str, str]:
     """Return the output in the file for each role of the layout."""
-    names, given = list(declared.outputs), network.named_outputs
+    names = list(declared.outputs)
+    given = network.named_outputs
     if network.output is None and len(names) == len(given) == 1:
         return dict.fromkeys(given, names[0])
     for name in given.values():

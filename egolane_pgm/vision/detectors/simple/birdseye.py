@@ -66,7 +66,7 @@ def make_view(
     if not (0 < x_min < x_max and y_min < y_max and along_m > 0 and across_m > 0):
         raise InputError(
             f"bird's-eye view: {x_min} to {x_max} m ahead and {y_min} to {y_max} m to the right"
-            " is no region in front of the camera"
+            " is not a region in front of the camera"
         )
     n_rows = max(round((x_max - x_min) / along_m), 1)
     n_columns = max(round((y_max - y_min) / across_m), 1)

@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
-#: Area of the smallest contour that is kept, square metres, and its largest slope, metres to the
-#: side per metre ahead.
-_LEAST_AREA_M2, _MOST_SLOPE = 0.04, 0.35
+#: Area of the smallest contour that is kept, square metres.
+_LEAST_AREA_M2 = 0.04
+
+#: Largest slope of a contour, metres to the side per metre ahead.
+_MOST_SLOPE = 0.35
 
 
 @dataclass(frozen=True)

@@ -36,35 +36,56 @@ PARAMETERS = (
     ),
 )
 
-#: Number of first pictures that are all checked, factor from one waiting time to the next after
-#: these, and the longest one, frames; a check takes as long as three frames.
-_FIRST, _SLOWER, _EVERY = 10, 1.1, 50
+#: Number of first pictures that are all checked.
+_FIRST = 10
 
-#: The pitch is off if it differs by more than this and two standard deviations, degrees, after this
-#: number of checks; it is corrected in steps of the third value.
-_DRIFT_DEG, _LEAST_CHECKS, _CORRECTION_DEG = 0.3, 6, 0.1
+#: Factor from one waiting time to the next after the first pictures.
+_SLOWER = 1.1
+
+#: The longest waiting time, frames: a check takes as long as three frames.
+_EVERY = 50
+
+#: The pitch is off if it differs by more than this and two standard deviations, degrees.
+_DRIFT_DEG = 0.3
+
+#: Number of checks before the pitch can be off.
+_LEAST_CHECKS = 6
+
+#: Step of the corrections of the pitch, degrees.
+_CORRECTION_DEG = 0.1
 
 #: Grid of differences from the calibrated pitch, degrees, and the log of their prior probabilities
 #: up to a constant (standard deviation 1 degree).
 _GRID = np.linspace(-3.0, 3.0, 121)
 _PRIOR = -0.5 * _GRID**2
 
-#: Distance of the three pitches of a check, and the step that they are rounded to, degrees.
-_APART_DEG, _STEP_DEG = 0.75, 0.25
+#: Distance of the three pitches of a check, degrees.
+_APART_DEG = 0.75
+
+#: Step that the pitches of a check are rounded to, degrees.
+_STEP_DEG = 0.25
 
 #: Share of the earlier evidence that is kept at a check.
 _KEPT = 0.9
 
-#: Sway of the pitch by car and road, degrees, and the frames over which it averages out.
-_SWAY_DEG, _SWAY_FRAMES = 0.25, 100
+#: Sway of the pitch by car and road, degrees.
+_SWAY_DEG = 0.25
+
+#: Number of frames over which the sway averages out.
+_SWAY_FRAMES = 100
 
 #: Gain in log-likelihood of a pitch per additional line of full length.
 _PER_LINE = 2.0
 
-#: Standard deviation of the pitch that follows from the squeeze, degrees, and the number of them at
-#: which its log-likelihood stops falling, because the lines may be something else; the lines must
-#: be spread over the third value, metres.
-_SQUEEZE_DEG, _MOST_SDS, _LEAST_SPREAD_M = 0.5, 2.0, 2.0
+#: Standard deviation of the pitch that follows from the squeeze, degrees.
+_SQUEEZE_DEG = 0.5
+
+#: Number of these standard deviations at which the log-likelihood stops falling, because the lines
+#: may be something else.
+_MOST_SDS = 2.0
+
+#: Least spread of the lines of a squeeze, metres.
+_LEAST_SPREAD_M = 2.0
 
 
 @dataclass(frozen=True)
@@ -108,8 +129,11 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
 
     It checks some of the pictures, and warns once of a drift. view: with the calibrated camera.
     """
-    camera, turned = view.camera, turned_up(view)
-    drift, n_checks, next_check = Drift(_normalised(_PRIOR)), 0, 0
+    camera = view.camera
+    turned = turned_up(view)
+    drift = Drift(_normalised(_PRIOR))
+    n_checks = 0
+    next_check = 0
 
     def tried(image: Image, away: float) -> tuple[float, float]:
         """Return the length of line at a pitch, and the pitch at which the lines are parallel, NaN
@@ -119,7 +143,8 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
         except InputError:
             # With this pitch the camera would not show the road.
             return 0.0, math.nan
-        offset, heading = found.shape[:, 0], found.shape[:, 1]
+        offset = found.shape[:, 0]
+        heading = found.shape[:, 1]
         if len(offset) < 2 or np.ptp(offset) < _LEAST_SPREAD_M:
             return float(found.score.sum()), math.nan
         squeeze = float(np.polyfit(offset, heading, 1)[0])

@@ -81,13 +81,15 @@ def follower(
     # With two cameras the plane of the road gives the pitch.
     is_watched = road is None and parameters["camera_drift"] == "correct"
     watch = drift.watch(view, parameters) if is_watched else None
-    turned, corrected_deg = turned_up(view), 0.0
+    turned = turned_up(view)
+    corrected_deg = 0.0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         nonlocal corrected_deg
         seen, is_road = (view, None) if road is None else road(picture)
         if watch is not None:
-            before, corrected_deg = corrected_deg, watch(picture).correction_deg
+            before = corrected_deg
+            corrected_deg = watch(picture).correction_deg
             tracks = _turned(tracks, corrected_deg - before, camera)
             seen = turned(corrected_deg)
         prior = expected(tracks)

@@ -34,19 +34,35 @@ from egolane_pgm.vision.detectors.simple.markings import (
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
-#: Far edge of the view for straight lines, because roads bend, and its pixel size along and across
-#: the road, metres.
-_STRAIGHT_TO_M, _ALONG_M, _ACROSS_M = 25.0, 0.1, 0.05
+#: Far edge of the view for straight lines, metres: roads bend.
+_STRAIGHT_TO_M = 25.0
 
-#: Maximum number of lines per frame, and their least distance, metres.
-_LINES, APART_M = 8, 2.2
+#: Pixel size of that view along the road, metres.
+_ALONG_M = 0.1
 
-#: Half the width of the strip that a line covers, and the width of a full marking, metres.
-_REACH_M, _STRIPE_M = 0.125, 0.1
+#: Pixel size of that view across the road, metres.
+_ACROSS_M = 0.05
 
-#: Standard deviation of lane widths, metres, and the weight of a neighbouring line's score, which
-#: counts up to the third value.
-_LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS, _MOST_SUPPORT = 0.2, 0.5, 0.5
+#: Maximum number of lines per frame.
+_LINES = 8
+
+#: Least distance of two lines, metres.
+APART_M = 2.2
+
+#: Half the width of the strip that a line covers, metres.
+_REACH_M = 0.125
+
+#: Width of a full marking, metres.
+_STRIPE_M = 0.1
+
+#: Standard deviation of lane widths, metres.
+_LANE_WIDTH_SD_M = 0.2
+
+#: Weight of a neighbouring line's score.
+_NEIGHBOUR_BONUS = 0.5
+
+#: Largest score of a neighbouring line that counts.
+_MOST_SUPPORT = 0.5
 
 #: Standard deviations and limits of the values that all lines of a frame share: heading (m/m),
 #: curvature (1/m), squeeze (1/m) and rate (1/m^2), which is not searched: its value
@@ -63,18 +79,36 @@ _SLOPE_SD = 0.05
 #: `least_rise` in rain, whose remains add to the mean contrast.
 _STREAKY_RISE = 3.0
 
-#: In noise, the picture is blurred over pixels and its view along the road, metres, and other
-#: thresholds apply. Chosen on the first 55 stills with noise of a standard deviation of 15 to 60.
-_NOISY_BLUR, _NOISY_ALONG_M, _NOISY_SMOOTH_M = (5, 5), 0.9, 1.5
+#: Side of the blur of a picture in noise, pixels. This and the other values for noise were chosen
+#: on the first 55 stills with noise of a standard deviation of 15 to 60.
+_NOISY_BLUR = (5, 5)
+
+#: Blur of the view along the road in noise, metres.
+_NOISY_ALONG_M = 0.9
+
+#: `SMOOTH_ALONG_M` in noise, metres.
+_NOISY_SMOOTH_M = 1.5
+
+#: Thresholds in noise.
 _NOISY = {"least_rise": 3.4, "least_score": 0.22}
 
-#: Grid sizes for heading, curvature and squeeze of the coarse search and of the fine one around the
-#: best point, and their bins, metres.
-_COARSE, _FINE = (41, 9, 5), (7, 5, 5)
-_COARSE_BIN_M, _FINE_BIN_M = 0.1, 0.07
+#: Grid sizes of the coarse search for heading, curvature and squeeze.
+_COARSE = (41, 9, 5)
 
-#: Length of a piece of contour in the search, and bin size of the search for offsets, metres.
-_PIECE_M, _BIN_M = 0.8, 0.05
+#: Grid sizes of the fine search around the best point of the coarse one.
+_FINE = (7, 5, 5)
+
+#: Bin size of the coarse search, metres.
+_COARSE_BIN_M = 0.1
+
+#: Bin size of the fine search, metres.
+_FINE_BIN_M = 0.07
+
+#: Length of a piece of contour in the search, metres.
+_PIECE_M = 0.8
+
+#: Bin size of the search for offsets, metres.
+_BIN_M = 0.05
 
 #: Distance from a line within which runs count, in `_REACH_M`, for each round of least squares.
 _REFINE = (2.5, 2.0, 1.5)
@@ -109,7 +143,8 @@ class Found:
 
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
     """Make the bird's-eye view of these parameters. Raises InputError as `make_view` does."""
-    side, far = number(parameters, "side_m"), number(parameters, "x_max_m")
+    side = number(parameters, "side_m")
+    far = number(parameters, "x_max_m")
     if parameters["curve"] == "line":
         far = min(far, _STRAIGHT_TO_M)
     near = number(parameters, "x_min_m")
@@ -135,7 +170,8 @@ def find_lines(
 
     Raises InputError for a picture of another size than the calibration.
     """
-    is_given, smooth_m = mask is not None, SMOOTH_ALONG_M
+    is_given = mask is not None
+    smooth_m = SMOOTH_ALONG_M
     if mask is None:
         cover = streak_cover(image)
         if cover > NOISE:
@@ -196,7 +232,8 @@ def _shapes(common: FloatArray, offset: FloatArray) -> FloatArray:
     """Return the shapes (M, 4) of lines with the shared values (4,) and offsets (M,)."""
     heading, curvature, squeeze, rate = common
     shape = np.empty((len(offset), 4))
-    shape[:, 0], shape[:, 1] = offset, heading + squeeze * offset
+    shape[:, 0] = offset
+    shape[:, 1] = heading + squeeze * offset
     shape[:, 2:] = curvature, rate
     return shape
 
@@ -205,8 +242,10 @@ def _prior(prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation, (4,) each, of the prior on the shared values."""
     if prior_shape is None or not len(prior_shape):
         return np.zeros(4), _SD
-    offset, slope = prior_shape[:, 0], prior_shape[:, 1]
-    heading, squeeze = float(np.median(slope)), 0.0
+    offset = prior_shape[:, 0]
+    slope = prior_shape[:, 1]
+    heading = float(np.median(slope))
+    squeeze = 0.0
     if len(prior_shape) > 1 and np.ptp(offset) > 1:
         # Regression of the slopes on the offsets.
         away = offset - offset.mean()
@@ -274,7 +313,8 @@ def _along(strips: Strips, common: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return for each run the offset (N,) of the line through it, and how well its contour's
     direction agrees with that line, (N,), from 1 down to 0."""
     heading, curvature, squeeze, rate = common
-    x, middle = strips.x_m, strips.middle_m
+    x = strips.x_m
+    middle = strips.middle_m
     straight = strips.y_m - x * (heading + x * (curvature / 2 + x * rate / 6))
     offset = straight / (1 + squeeze * x)
     expected = heading + middle * (curvature + middle * rate / 2)
@@ -319,7 +359,8 @@ def _support(own: FloatArray, width: float) -> FloatArray:
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     """Return the length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
-    x, valid = view.x_m[::4], view.valid[::4]
+    x = view.x_m[::4]
+    valid = view.valid[::4]
     s0, s1, s2, s3 = shape.T[:, :, None]
     column = (s0 + x * (s1 + x * (s2 / 2 + x * s3 / 6)) - view.y_m[0]) / view.across_m + 0.5
     inside = (column >= 0) & (column < valid.shape[1])
@@ -362,7 +403,8 @@ def _refine(
         line = np.argmin(np.abs(offset[:, None] - found), axis=1)
         distance = np.abs(offset - found[line])
         near = np.flatnonzero((agreement > 0) & (distance <= times * _REACH_M))
-        line, x = line[near], strips.x_m[near]
+        line = line[near]
+        x = strips.x_m[near]
         design = np.zeros((len(near), 4 + n_lines))
         design[:, :4] = has * np.stack([x, x**2 / 2, found[line] * x, x**3 / 6], axis=1)
         design[np.arange(len(near)), 4 + line] = 1 + squeeze * x
@@ -370,5 +412,6 @@ def _refine(
         normal = design.T @ weighted + np.diag(strength)
         right = weighted.T @ (strips.y_m[near] + squeeze * found[line] * x)
         solution = np.linalg.solve(normal, right + strength * [*prior[0], *found])
-        common, found = solution[:4] * has, solution[4:]
+        common = solution[:4] * has
+        found = solution[4:]
     return common, found

@@ -24,7 +24,7 @@ def common_scores(
     side_m: float,
     bin_m: float,
 ) -> FloatArray:
-    """How sharply N pieces of marking gather at a few offsets, (H, K, Q), for lines
+    """Score how sharply N pieces of marking gather at a few offsets, (H, K, Q), for lines
     y = o (1 + q x) + h x + k x^2 / 2 with offset o and common heading h, curvature k and squeeze q.
 
     - x, y: (N,) place of each piece, metres ahead (more than 0) and to the right
@@ -39,7 +39,8 @@ def common_scores(
     nearest bins. Its bin and its difference of slope are linear in the heading, so a piece is
     brought into these terms once, and then only the headings at which it counts are visited.
     """
-    n_headings, n_pieces = len(headings), len(x)
+    n_headings = len(headings)
+    n_pieces = len(x)
     n_bins = math.floor(2 * side_m / bin_m) + 1
     out = np.empty((n_headings, len(curvatures), len(squeezes)))
     # One more than the bins, because rounding may take a piece over the edge.
@@ -48,7 +49,9 @@ def common_scores(
     step = max((headings[-1] - first_heading) / max(n_headings - 1, 1), 1e-12)
     # By how much a step of the heading changes a piece's bin, and its difference of slope as a
     # share of the tolerance.
-    scale, bin_step, off_step = np.empty(n_pieces), np.empty(n_pieces), np.empty(n_pieces)
+    scale = np.empty(n_pieces)
+    bin_step = np.empty(n_pieces)
+    off_step = np.empty(n_pieces)
     total = np.empty(n_headings)
     for iq in range(len(squeezes)):
         q = squeezes[iq]

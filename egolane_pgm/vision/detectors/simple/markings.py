@@ -26,16 +26,23 @@ from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
-#: Length over which contrast is averaged, and side of the patch for local brightness and contrast,
-#: metres.
-SMOOTH_ALONG_M, _AROUND_M = 0.7, 4.0
+#: Length over which contrast is averaged, metres.
+SMOOTH_ALONG_M = 0.7
+
+#: Side of the patch for local brightness and contrast, metres.
+_AROUND_M = 4.0
 
 #: Added to the local brightness, 0 to 255.
 _BRIGHTNESS_FLOOR = 40.0
 
-#: Least contrast of marking over brightness; in pictures with little contrast (blurred or dim) it
-#: is the third value times the mean contrast of the view, but at least the second.
-_LEAST_CONTRAST, _BLURRED_CONTRAST, _OVER_MEAN = 0.02, 0.0125, 3.0
+#: Least contrast of a marking, as a share of brightness.
+_LEAST_CONTRAST = 0.02
+
+#: Lower bound of that contrast in pictures with little contrast (blurred or dim).
+_BLURRED_CONTRAST = 0.0125
+
+#: Least contrast in such pictures, as a multiple of the mean contrast of the view.
+_OVER_MEAN = 3.0
 
 #: Largest contrast that enters the mean, so that one bright line does not hide its neighbours.
 _MOST_CONTRAST = 0.2
@@ -106,17 +113,26 @@ def _odd(pixels: float) -> int:
 
 # --- streaks -------------------------------------------------------------------------------------
 
-#: Width of the widest streak as a share of the picture's, distance of the rows that are used, and
-#: number of parts of the lower half from top to bottom and from left to right.
-_WIDEST, _ROW_STEP, _PARTS = 0.0025, 8, (6, 20)
+#: Width of the widest streak, as a share of the picture's.
+_WIDEST = 0.0025
 
-#: A pixel of a streak is brighter than its surroundings by more than this share plus this number of
-#: grey levels, the noise of a camera.
-_BRIGHTER, _NOISE = 0.1, 4.0
+#: Distance of the rows that are searched for streaks.
+_ROW_STEP = 8
 
-#: Least cover of a picture full of streaks (900 of them: 0.02), and of one full of noise (with a
-#: standard deviation of 10: 0.16).
-RAIN, NOISE = 0.01, 0.1
+#: Number of parts of the lower half from top to bottom and from left to right.
+_PARTS = (6, 20)
+
+#: A pixel of a streak is brighter than its surroundings by more than this share of theirs ...
+_BRIGHTER = 0.1
+
+#: ... plus this number of grey levels, the noise of a camera.
+_NOISE = 4.0
+
+#: Least cover of a picture full of streaks (900 of them: 0.02).
+RAIN = 0.01
+
+#: Least cover of a picture full of noise (with a standard deviation of 10: 0.16).
+NOISE = 0.1
 
 
 def streak_cover(image: Image) -> float:

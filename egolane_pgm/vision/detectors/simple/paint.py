@@ -31,17 +31,27 @@ PARAMETERS = (
     ),
 )
 
-#: Length of a line that is measured, shortest part in view, and largest distance of paint from the
-#: line, metres.
-_LENGTH_M, _LEAST_M, _REACH_M = 10.0, 3.0, 0.25
+#: Length of a line that is measured, metres.
+_LENGTH_M = 10.0
 
-#: Least contrast of paint, as a share of local brightness, and as a multiple of the contrast next
-#: to the line (on the side with less).
-_LEAST, _OVER_NOISE = 0.14, 2.0
+#: Shortest measured part in view, metres.
+_LEAST_M = 3.0
+
+#: Largest distance of paint from the line, metres.
+_REACH_M = 0.25
+
+#: Least contrast of paint, as a share of local brightness.
+_LEAST = 0.14
+
+#: Least contrast of paint, as a multiple of the contrast next to the line (on the side with less).
+_OVER_NOISE = 2.0
 
 #: A line with a longer gap, metres, is broken even if its strokes are longer than its gaps (block
-#: marking of exit lanes), and its painted share is at most the second value.
-_GAP_M, _BROKEN = 2.0, 0.5
+#: marking of exit lanes).
+_GAP_M = 2.0
+
+#: Largest painted share of a broken line.
+_BROKEN = 0.5
 
 #: Added to the local brightness (grey levels), so that noise in the dark does not count as paint.
 _DARK = 10.0
@@ -90,7 +100,7 @@ def painted_share(
 
 def _rows_in_view(view: BirdsEye, line: FloatArray, aside: int) -> tuple[IntArray, IntArray]:
     """Return the rows of a view that show the first metres of a line (4,), from near to far, with
-    so many columns on either side, and the line's columns in these rows, (N,) each."""
+    that number of columns on either side, and the line's columns in these rows, (N,) each."""
     x = view.x_m
     y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
     columns = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(np.int64)
@@ -102,7 +112,7 @@ def _rows_in_view(view: BirdsEye, line: FloatArray, aside: int) -> tuple[IntArra
 
 
 def _quantile(values: FloatArray, share: float) -> float:
-    """As np.quantile, but many times faster for such short arrays."""
+    """Return np.quantile, many times faster for such short arrays."""
     ordered = np.sort(values)
     at = share * (len(ordered) - 1)
     below = ordered[int(at)]

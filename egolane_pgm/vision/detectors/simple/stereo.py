@@ -7,7 +7,7 @@ same disparity everywhere, and the matcher finds how much nearer than the road o
 
 A point Z metres away along the optical axis lies f B / Z pixels farther left in the second picture.
 On a flat road this disparity is linear in the pixel, d = a u + b v + c, and it is 0 at the horizon
-("the ground plane equation" of the paper). Pixels are those of the first picture, rectified and at
+("the ground plane equation" of the paper). Pixels are of the first picture, rectified and at
 full size.
 """
 
@@ -49,9 +49,11 @@ PARAMETERS = (
     ),
 )
 
-#: Factor by which pictures are made narrower to match, and the smallest distance that is matched,
-#: metres.
-_SCALE, _NEAREST_M = 2, 4.0
+#: Factor by which pictures are made narrower to match.
+_SCALE = 2
+
+#: The smallest distance that is matched, metres.
+_NEAREST_M = 4.0
 
 #: Least height of objects above or below the plane, metres.
 _OFF_PLANE_M = 0.25
@@ -75,20 +77,41 @@ _INSTALL_ELAS = (
     " pip install 'egolane-pgm[elas]'"
 )
 
-#: In pixels as matched: largest distance of a road disparity from the plane, least distance of an
-#: object's, margin around objects, and width of the right picture's edge without good matches.
-_PLANE_PX, _OFF_PLANE_PX, _GROW_PX, _EDGE_PX = 0.5, 1.0, 2, 8
+#: Largest distance of a road disparity from the plane, pixels as matched.
+_PLANE_PX = 0.5
+
+#: Least distance of an object's disparity from the plane, pixels as matched.
+_OFF_PLANE_PX = 1.0
+
+#: Margin around objects, pixels as matched.
+_GROW_PX = 2
+
+#: Width of the right picture's edge without good matches, pixels as matched.
+_EDGE_PX = 8
 
 #: Step of the pitch correction, degrees.
 _PITCH_STEP_DEG = 0.1
 
-#: A plane is fitted to this number of points at most, from random triples of them; it must have at
-#: least the third number of points, and the last share of all.
-_MOST_POINTS, _TRIALS, _POINTS, _PLANE_SHARE = 3000, 100, 200, 0.4
+#: Largest number of points that a plane is fitted to.
+_MOST_POINTS = 3000
 
-#: Largest differences of a plane's pitch and roll (degrees) and of the camera's height (share) from
-#: the calibrated ones.
-_MOST_PITCH_DEG, _MOST_ROLL_DEG, _MOST_HEAVE = 2.5, 1.5, 0.12
+#: Number of random triples of points that are tried.
+_TRIALS = 100
+
+#: Least number of points of a plane.
+_POINTS = 200
+
+#: Least share of all points that are in the plane.
+_PLANE_SHARE = 0.4
+
+#: Largest difference of a plane's pitch from the calibrated one, degrees.
+_MOST_PITCH_DEG = 2.5
+
+#: Largest difference of a plane's roll from the calibrated one, degrees.
+_MOST_ROLL_DEG = 1.5
+
+#: Largest difference of the camera's height from the calibrated one, as a share of it.
+_MOST_HEAVE = 0.12
 
 #: Distance from the plane within which points count in each round of least squares, in tolerances.
 _ROUNDS = (2.0, 1.5, 1.0, 1.0)
@@ -102,8 +125,8 @@ class Pair:
     - top: first row of the full picture that is used
     - flat: (H, W) disparities of the calibrated plane
     - u, v: (H, W) pixel of the full picture at the middle of each small pixel
-    - points: (N,) flat indices of the small pixels that the plane is fitted to: those of the road
-      that both pictures show, or some of them
+    - points: (N,) flat indices of the small pixels that the plane is fitted to: the pixels of the
+      road in both pictures, or some of them
     - below_px: range of the search below the road's disparity, small pixels
     - n_disparities: number of disparities that are searched
     - warp: (2, 3) affine map that moves the rows of the right picture by the plane
@@ -136,7 +159,8 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
             " and set all five numbers to 0"
         )
     pair = make_pair(camera, parameters)
-    turned, n_unsure = turned_up(view), 0
+    turned = turned_up(view)
+    n_unsure = 0
 
     @lru_cache(maxsize=VIEWS)
     def pitched(steps: int) -> tuple[BirdsEye, IntArray]:
@@ -172,16 +196,19 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 
     Raises InputError if the pictures would become too small, or the baseline is too long for them.
     """
-    rows, matcher = int(number(parameters, "match_rows")), str(parameters["matcher"])
+    rows = int(number(parameters, "match_rows"))
+    matcher = str(parameters["matcher"])
     top, bottom = _rows(camera, parameters)
-    height, width = (bottom - top) // rows, camera.width // _SCALE
+    height = (bottom - top) // rows
+    width = camera.width // _SCALE
     least = _LEAST_ROWS[matcher]
     if height < least or width < 64:
         raise InputError(
             f"match_rows: {rows} leaves {width}x{height} pixels of the road to match, and {matcher}"
             f" needs 64x{least}; make it smaller, or take larger pictures"
         )
-    half, half_row = (_SCALE - 1) / 2, (rows - 1) / 2
+    half = (_SCALE - 1) / 2
+    half_row = (rows - 1) / 2
     u, v = np.meshgrid(np.arange(width) * _SCALE + half, np.arange(height) * rows + half_row + top)
     road = ground_plane(camera)
     flat = disparity_at(road, u, v)
@@ -241,7 +268,8 @@ def _elas() -> Match:
         # pyelas keeps every array that it gets, so it gets the same two each time.
         if not kept or kept[0].shape != left.shape:
             kept[:] = np.empty_like(left, order="C"), np.empty_like(right, order="C")
-        kept[0][:], kept[1][:] = left, right
+        kept[0][:] = left
+        kept[1][:] = right
         matcher = Elas()
         matcher.disp_max = n_disparities - 1
         return np.asarray(matcher.process(*kept)[0], dtype=np.float64)
@@ -330,13 +358,14 @@ def ground_plane(camera: Camera) -> FloatArray:
     assert camera.baseline_m is not None
     up = axes(camera)[:, 2]
     scale = -camera.fx * camera.baseline_m / camera.height_m
-    a, b = scale * up[0] / camera.fx, scale * up[1] / camera.fy
+    a = scale * up[0] / camera.fx
+    b = scale * up[1] / camera.fy
     return np.array([a, b, scale * up[2] - a * camera.cx - b * camera.cy])
 
 
 def pose(camera: Camera, planes: FloatArray) -> FloatArray:
     """Return the camera's height (metres), pitch and roll (degrees), (..., 3), above planes
-    (..., 3): the inverse of `ground_plane`. NaN for coefficients that are no plane."""
+    (..., 3): the inverse of `ground_plane`. NaN for coefficients that do not describe a plane."""
     assert camera.baseline_m is not None
     a, b, c = np.moveaxis(planes, -1, 0)
     up = -np.stack([a * camera.fx, b * camera.fy, c + a * camera.cx + b * camera.cy], axis=-1)
@@ -364,7 +393,8 @@ def fit_plane(
     """
     if len(u) < _POINTS:
         return None
-    points, tolerance_px = np.stack([u, v, np.ones_like(u)], axis=1), _SCALE * _PLANE_PX
+    points = np.stack([u, v, np.ones_like(u)], axis=1)
+    tolerance_px = _SCALE * _PLANE_PX
     three = np.random.default_rng(0).integers(0, len(u), (_TRIALS, 3))
     # Twice the area of the triangle, square pixels: small ones determine no plane.
     three = three[np.abs(np.linalg.det(points[three])) > 1e-3 * max(np.ptp(u), np.ptp(v), 1) ** 2]

@@ -19,39 +19,66 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.detectors import FrameLines, powers
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
-#: Distances ahead at which a line is compared (four parameters need four), and the standard
-#: deviations of a found line there, metres, and of the rate of a clothoid's curvature, 1/m^2.
+#: Number of distances ahead at which a line is compared: four parameters need four.
 _PLACES = 4
+
+#: These distances, metres.
 _AHEAD_M = np.linspace(6.0, 30.0, _PLACES)
-_SIGMA_M, _SIGMA_RATE = np.linspace(0.12, 0.35, _PLACES), 2e-5
+
+#: Standard deviations of a found line at these distances, metres.
+_SIGMA_M = np.linspace(0.12, 0.35, _PLACES)
+
+#: Standard deviation of the rate of a clothoid's curvature, 1/m^2.
+_SIGMA_RATE = 2e-5
 
 #: Standard deviations of a line's change per frame: offset (m), heading, curvature (1/m), rate.
 _WALK = (0.06, 0.004, 2e-4, 4e-6)
 
-#: Shares of the matched lines' common motion that move every line, that enter the predicted motion,
-#: and (of the change of curvature) that count as common.
-_SHIFT_GAIN, _MOTION_GAIN, _CURVATURE_GAIN = 0.6, 0.4, 0.3
+#: Share of the matched lines' common motion that moves every line.
+_SHIFT_GAIN = 0.6
+
+#: Share of the common motion that enters the predicted motion.
+_MOTION_GAIN = 0.4
+
+#: Share of the common change of curvature that counts as common motion.
+_CURVATURE_GAIN = 0.3
 
 #: Share of frames that a line must be detected in to become valid: a detection counts one, a miss
-#: takes away share / (1 - share), down to 0, and k are needed (Page's test of 1954 for a rate above
-#: this one). A valid line stays valid until its LRI is below the last share of k.
+#: takes away `_MISS_COST`, down to 0, and k are needed (Page's test of 1954 for a rate above this
+#: one).
 _VALID_SHARE = 0.55
-_MISS_COST, _VALID_UNTIL = _VALID_SHARE / (1 - _VALID_SHARE), 0.5
+_MISS_COST = _VALID_SHARE / (1 - _VALID_SHARE)
 
-#: Missed frames in a row after which a line is dropped, if it was ever valid and if not.
-_DIE_AFTER, _NEW_DIE_AFTER = 10, 3
+#: A valid line stays valid until its LRI is below this share of k.
+_VALID_UNTIL = 0.5
 
-#: Largest distance of a line from its prediction: metres, and mean standard deviations.
-_GATE_M, _GATE_SIGMAS = 1.0, 4.0
+#: Missed frames in a row after which a line that was ever valid is dropped.
+_DIE_AFTER = 10
 
-#: Of two lines nearer to each other than the first, metres, one is dropped. A line beyond another,
-#: as viewed from the car, and nearer to it than the second bounds no lane (the foot of a barrier, a
-#: kerb). Lines farther to the side than the third are dropped.
-_APART_M, _LEAST_LANE_M, _FARTHEST_M = 1.0, 2.8, 14.0
+#: Missed frames in a row after which a line that was never valid is dropped.
+_NEW_DIE_AFTER = 3
 
-#: Number of a line's last detections that vote on continuous or dashed, and the share of votes
-#: above which it is continuous.
-_VOTE_FRAMES, _CONTINUOUS_SHARE = 20, 0.5
+#: Largest distance of a line from its prediction, metres.
+_GATE_M = 1.0
+
+#: Largest distance of a line from its prediction, mean standard deviations.
+_GATE_SIGMAS = 4.0
+
+#: One of two lines nearer to each other than this, metres, is dropped.
+_APART_M = 1.0
+
+#: A line beyond another, as viewed from the car, and nearer to it than this, metres, bounds no lane
+#: (the foot of a barrier, a kerb).
+_LEAST_LANE_M = 2.8
+
+#: Lines farther to the side are dropped, metres.
+_FARTHEST_M = 14.0
+
+#: Number of a line's last detections that vote on continuous or dashed.
+_VOTE_FRAMES = 20
+
+#: Share of the votes above which a line is continuous.
+_CONTINUOUS_SHARE = 0.5
 
 #: Limit on a new line's standard deviations, in steps of the walk.
 _OPEN_STEPS = 50
@@ -151,9 +178,10 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
 
 
 def _noise_of_clothoids(at: FloatArray) -> FloatArray:
-    """Return the covariance (J, J) of a clothoid's positions: those of a parabola have independent
-    errors, and the rate is known far better, from the fit to all contours."""
-    parabola, precision = at[:, :3], _SIGMA_M**-2
+    """Return the covariance (J, J) of a clothoid's positions: a parabola's positions have
+    independent errors, and the rate is known far better, from the fit to all contours."""
+    parabola = at[:, :3]
+    precision = _SIGMA_M**-2
     covariance = np.linalg.inv((parabola * precision[:, None]).T @ parabola)
     # The part of a unit of rate that a parabola cannot follow.
     rest = at[:, 3] - parabola @ covariance @ (parabola.T @ (at[:, 3] * precision))
@@ -228,14 +256,15 @@ def advance(
             tracks = replace(new, motion=tracks.motion, **both)
     # A line becomes valid with an excess of k, which without a miss is the largest LRI (the paper's
     # rule), and stays so until its LRI falls below a share of k.
-    k, seen = rule.lri_frames, (tracks.hits > 0).sum(axis=1)
+    k = rule.lri_frames
+    seen = (tracks.hits > 0).sum(axis=1)
     is_valid = (tracks.excess >= k) | (tracks.is_valid & (seen >= _VALID_UNTIL * k))
     tracks = replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
     return _without_lost(tracks, rule)
 
 
 def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
-    """Return the lines of a frame, left to right, as the detector gives them."""
+    """Return the lines of a frame, left to right: the output of the detector."""
     n_votes = np.isfinite(tracks.votes).sum(axis=1)
     share = np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1)
     is_continuous = share > _CONTINUOUS_SHARE
@@ -243,7 +272,8 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
     order = np.argsort(offset, kind="stable")
     if rule.hides_beyond:
         edges = offset[is_continuous & tracks.is_valid]
-        left, right = edges[edges < 0].max(initial=-np.inf), edges[edges > 0].min(initial=np.inf)
+        left = edges[edges < 0].max(initial=-np.inf)
+        right = edges[edges > 0].min(initial=np.inf)
         order = order[(offset[order] >= left) & (offset[order] <= right)]
     return FrameLines(
         tracks.mean[order], tracks.is_valid[order], is_continuous[order], tracks.lri[order]
@@ -288,7 +318,9 @@ def _update(
     moved = (shape[found] - tracks.mean[is_hit]) @ rule.at.T
     shift = _common_shift(moved, rule) if shows_motion and len(found) else np.zeros(4)
     tracks = replace(tracks, mean=tracks.mean + _SHIFT_GAIN * shift)
-    mean, covariance, votes = tracks.mean.copy(), tracks.covariance.copy(), tracks.votes.copy()
+    mean = tracks.mean.copy()
+    covariance = tracks.covariance.copy()
+    votes = tracks.votes.copy()
     prior = covariance[is_hit]
     spread = rule.at @ prior @ rule.at.T + rule.noise
     gain = np.linalg.solve(spread, rule.at @ prior).transpose(0, 2, 1)
@@ -329,7 +361,8 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
     """
     shift = np.zeros(4)
     weight = 1 / np.sqrt(np.diag(rule.noise))
-    design, middle = rule.at * weight[:, None], np.median(moved, axis=0) * weight
+    design = rule.at * weight[:, None]
+    middle = np.median(moved, axis=0) * weight
     if rule.n_values > 2:
         shift[2] = _CURVATURE_GAIN * (np.linalg.pinv(design[:, :3])[2] @ middle)
         middle = middle - design[:, 2] * shift[2]
@@ -356,7 +389,8 @@ def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
     """Return which of N lines, (N,), lie beyond a track, as viewed from the car, and too close to
     it for a lane. That track is valid, or is detected in this frame with at least the same LRI."""
     near = rule.at[: _PLACES // 2].mean(axis=0)
-    place, places = (some.mean @ near)[:, None], tracks.mean @ near
+    place = (some.mean @ near)[:, None]
+    places = tracks.mean @ near
     is_between = (np.sign(places) == np.sign(place)) & (np.abs(places) < np.abs(place))
     is_between &= tracks.number != some.number[:, None]
     is_close = _gaps(some.mean[:, None], tracks.mean, rule) < _LEAST_LANE_M

@@ -20,24 +20,39 @@ from egolane_pgm.vision.camera.model import Camera, vanishing_point
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
-#: Distance of neighbouring rays, metres to the side per metre ahead, and the outermost ray.
-_RAY_STEP, _RAY_MOST = 0.005, 1.0
+#: Distance of neighbouring rays, metres to the side per metre ahead.
+_RAY_STEP = 0.005
+
+#: The outermost ray, metres to the side per metre ahead.
+_RAY_MOST = 1.0
 _RAYS = np.arange(-_RAY_MOST, _RAY_MOST + _RAY_STEP / 2, _RAY_STEP)
 
 #: Growth of the distance from one sample of a ray to the next, as a picture resolves distances.
 _FARTHER = 0.02
 
-#: Samples of a foot: dark ones (seen under a bumper a fifth of the camera's height above the road),
-#: before them the shadow's edge, and before that the road.
-_DARK, _EDGE, _ROAD = 5, 2, 8
+#: Dark samples of a foot, under a bumper a fifth of the camera's height above the road.
+_DARK = 5
 
-#: The narrowest and the widest foot, metres: a motorcycle is narrower, a lorry with the shadow of
-#: the low sun is about as wide as its lane.
-_NARROWEST_M, _WIDEST_M = 0.8, 4.0
+#: Samples of the shadow's edge, nearer than the dark ones.
+_EDGE = 2
 
-#: Quantiles of the brightness of sky (partly hidden by trees and bridges) and road (with vehicles
-#: on it), and the least ratio of the two by day; in pictures of four cameras it was above 0.7.
-_SKY, _LIT, _DAYLIGHT = 0.9, 0.75, 0.5
+#: Samples of the road, nearer than the edge.
+_ROAD = 8
+
+#: The narrowest foot, metres: a motorcycle is narrower.
+_NARROWEST_M = 0.8
+
+#: The widest foot, metres: a lorry with the shadow of the low sun is about as wide as its lane.
+_WIDEST_M = 4.0
+
+#: Quantile of the brightness of the sky, partly hidden by trees and bridges.
+_SKY = 0.9
+
+#: Quantile of the brightness of the road, with vehicles on it.
+_LIT = 0.75
+
+#: Least ratio of the sky's brightness to the road's by day; above 0.7 in pictures of four cameras.
+_DAYLIGHT = 0.5
 
 
 def is_daylight(camera: Camera, image: Image) -> bool:
@@ -52,10 +67,12 @@ def is_daylight(camera: Camera, image: Image) -> bool:
     for left, top, right, bottom in camera.ignore:
         shown[max(top, 0) // 8 : -(-bottom // 8), max(left, 0) // 8 : -(-right // 8)] = False
     # The part that headlights light most: neither the bonnet nor far ahead.
-    rows, columns = len(red) - horizon, red.shape[1]
+    rows = len(red) - horizon
+    columns = red.shape[1]
     middle = slice(columns // 4, 3 * columns // 4)
     lit = slice(horizon + rows // 4, horizon + 3 * rows // 4)
-    sky, road = red[:horizon][shown[:horizon]], red[lit, middle][shown[lit, middle]]
+    sky = red[:horizon][shown[:horizon]]
+    road = red[lit, middle][shown[lit, middle]]
     if not sky.size or not road.size:
         return True
     return bool(np.quantile(sky, _SKY) > _DAYLIGHT * np.quantile(road, _LIT))
@@ -68,7 +85,8 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
     """
     free = np.ones(above.shape, dtype=bool)
     share = number(parameters, "shadow_share")
-    near, far = float(view.x_m[-1]), float(view.x_m[0])
+    near = float(view.x_m[-1])
+    far = float(view.x_m[0])
     count = int(math.log(far / near) / math.log1p(_FARTHER)) + 1
     if not share or count < _DARK + _EDGE + _ROAD:
         return free

@@ -1,4 +1,4 @@
-"""The YAML of a network: what is wrong with it is said, all of it, a line each."""
+"""The YAML of a network: each mistake in it is one line of the message."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("keys", "said"),
+    ("keys", "message"),
     [
         ({"sise": [1, 2]}, "unknown key 'sise' (did you mean 'size'?)"),
         ({"layout": "lane"}, "layout: input should be 'lanes', 'instances'"),
@@ -40,15 +40,15 @@ def folder(tmp_path: Path) -> Path:
         ({"cut_top": 1}, "cut_top: input should be less than 1"),
     ],
 )
-def test_what_does_not_fit_is_said(folder: Path, keys: dict[str, Any], said: str) -> None:
+def test_keys_that_do_not_fit_are_refused(folder: Path, keys: dict[str, Any], message: str) -> None:
     path = write_network(folder / "net.yaml", **{**GOOD, **keys})
     with pytest.raises(InputError) as caught:
         read_network(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).startswith(f"{path}: ")
 
 
-def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
+def test_a_ready_network_needs_the_onnx_only(folder: Path) -> None:
     """It is looked for beside the place that was named; a file of that name goes before it."""
     (folder / "x.onnx").rename(folder / "lstr_360x640.onnx")
     named = folder / "lstr.yaml"
@@ -61,6 +61,6 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "hint"), [("", ""), ("none", ""), ("lsrt", r"\(did you mean 'lstr'\?\)")]
 )
-def test_a_name_that_is_no_network_is_refused(name: str, hint: str) -> None:
-    with pytest.raises(InputError, match=rf"^network: '.*{name}' is no YAML of .*{hint}"):
+def test_an_unknown_network_is_refused(name: str, hint: str) -> None:
+    with pytest.raises(InputError, match=rf"^network: '.*{name}' is not the YAML of .*{hint}"):
         read_network(name)

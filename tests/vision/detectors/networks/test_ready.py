@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 
 from egolane_pgm.experiment import validated
@@ -294,7 +295,9 @@ def test_an_onnx_is_shown_or_refused(tmp_path: Path) -> None:
         "layout lstr_curves fits, as for the ready networks lstr\n"
     )
     file.write_bytes(b"nothing")
-    assert refused("show", file).startswith(f"network: {file}: is no ONNX file that can be read")
+    assert refused("show", file).startswith(
+        f"network: {file}: is not an ONNX file that can be read"
+    )
     absent = tmp_path / "absent.onnx"
     assert refused("show", absent) == f"network: {absent}: No such file or directory"
 
@@ -316,6 +319,19 @@ def test_the_layouts_that_fit_another_file_are_listed(
     text = describe_onnx(write_known(tmp_path / "mine.onnx", outputs, (80, 40)))
     assert [line.split()[1] for line in text.splitlines() if "fits, as" in line] == layouts
     assert ("no layout fits" in text) == (not layouts)
+
+
+@pytest.mark.parametrize("shape", [(1, 40, 80, 3), (1, 1, 40, 80), (3, 40, 80)])
+def test_no_layout_fits_if_no_input_is_a_picture_with_its_colours_first(
+    tmp_path: Path, shape: tuple[int, ...]
+) -> None:
+    file = write_known(tmp_path / "mine.onnx", {"mask": np.zeros((1, 2, 40, 80))}, (80, 40))
+    model = onnx.load(str(file))
+    port = onnx.helper.make_tensor_value_info("picture", onnx.TensorProto.FLOAT, shape)
+    model.graph.input[0].CopyFrom(port)
+    onnx.save(model, str(file))
+    *_, last = describe_onnx(file).splitlines()
+    assert last.startswith("no layout fits: the network takes no pictures of 1 x 3 x height x")
 
 
 def test_the_page_has_each_layout_each_key_and_each_network() -> None:

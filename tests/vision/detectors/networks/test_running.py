@@ -39,10 +39,10 @@ def started(path: Path, width: int = 160, height: int = 120) -> Callable[[Image]
 def refused(path: Path) -> str:
     with pytest.raises(InputError) as caught:
         started(path)(noise(160, 120))
-    said = str(caught.value)
-    assert "\n" not in said
-    assert len(said) < 500
-    return said
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 500
+    return message
 
 
 # --- what goes in and comes out ---------------------------------------------------------------
@@ -81,7 +81,7 @@ def test_the_top_is_cut_off_and_bars_keep_the_proportions() -> None:
 # --- bad input --------------------------------------------------------------------------------
 
 
-def test_a_file_that_is_no_onnx_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_onnx_is_named(tmp_path: Path) -> None:
     keys = {"model": "x.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
     path = write_network(tmp_path / "net.yaml", **keys)
     whole = tmp_path / "known.onnx"
@@ -89,10 +89,10 @@ def test_a_file_that_is_no_onnx_is_named(tmp_path: Path) -> None:
     contents = [b"", b"no network at all, " * 30, bytes(range(256)), whole.read_bytes()[:-40]]
     for content in contents:
         (tmp_path / "x.onnx").write_bytes(content)
-        assert "x.onnx: is no ONNX file" in refused(path)
+        assert "x.onnx: is not an ONNX file" in refused(path)
 
 
-def test_an_operation_that_opencv_does_not_know_is_said(tmp_path: Path) -> None:
+def test_an_operation_that_opencv_does_not_know_is_refused(tmp_path: Path) -> None:
     node = helper.make_node("Telepathy", ["picture"], ["answer"], domain="elsewhere")
     graph = helper.make_graph(
         [node],
@@ -103,8 +103,8 @@ def test_an_operation_that_opencv_does_not_know_is_said(tmp_path: Path) -> None:
     sets = [helper.make_opsetid("", 13), helper.make_opsetid("elsewhere", 1)]
     onnx.save(helper.make_model(graph, opset_imports=sets), str(tmp_path / "odd.onnx"))
     keys = {"model": "odd.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
-    said = refused(write_network(tmp_path / "net.yaml", **keys))
-    assert f"OpenCV {cv2.__version__} cannot" in said
+    message = refused(write_network(tmp_path / "net.yaml", **keys))
+    assert f"OpenCV {cv2.__version__} cannot" in message
 
 
 def conv(tmp_path: Path, shape: tuple[Any, ...], **keys: Any) -> Path:
@@ -130,10 +130,10 @@ def conv(tmp_path: Path, shape: tuple[Any, ...], **keys: Any) -> Path:
 def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) -> None:
     assert started(conv(tmp_path, (1, 3, 40, 80)))(noise(160, 120))["mask"].shape == (2, 40, 80)
     assert started(conv(tmp_path, ("n", 3, "h", "w")))(noise(160, 120))["mask"].shape == (2, 40, 80)
-    said = refused(conv(tmp_path, (1, 3, 40, 80), size=[80, 48]))
+    message = refused(conv(tmp_path, (1, 3, 40, 80), size=[80, 48]))
     assert (
         "the network takes 1 x 3 x 40 x 80 (picture), but size [80, 48] makes 1 x 3 x 48 x 80"
-        in said
+        in message
     )
     assert "takes 1 x 1 x 40 x 80" in refused(conv(tmp_path, (1, 1, 40, 80)))
     write_onnx(
@@ -143,13 +143,13 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
         {"area": (1, 3, 40, 80)},
         {"picture": (1, 3, 40, 80), "before": (1, 3, 40, 80)},
     )
-    said = refused(tmp_path / "net.yaml")
-    assert "the network takes picture, before; give the constant of each but the picture" in said
-    assert said.endswith("inputs: {before: 0}")
+    message = refused(tmp_path / "net.yaml")
+    assert "the network takes picture, before; give the constant of each but the picture" in message
+    assert message.endswith("inputs: {before: 0}")
 
 
 @pytest.mark.parametrize(
-    ("shapes", "keys", "said"),
+    ("shapes", "keys", "message"),
     [
         ({"answer": (1, 3, 4, 8)}, {"layout": "lanes", "classes": 2},
          "answer 1 x 3 x 4 x 8; layout lanes needs mask 1 x k x h x w, k = 2 (docs/networks.md)"),
@@ -169,23 +169,23 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
     ],
 )  # fmt: skip
 def test_outputs_that_do_not_fit_the_yaml_are_refused(
-    tmp_path: Path, shapes: dict[str, tuple[int, ...]], keys: dict[str, Any], said: str
+    tmp_path: Path, shapes: dict[str, tuple[int, ...]], keys: dict[str, Any], message: str
 ) -> None:
     outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
-    assert said in refused(write_answers(tmp_path, outputs, **keys))
+    assert message in refused(write_answers(tmp_path, outputs, **keys))
 
 
 def test_an_output_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     output = np.zeros((1, 2, 4, 8))
     output[0, 1, 2, 3:6] = np.nan
-    said = refused(write_answer(tmp_path, output, layout="lanes", classes=2))
-    assert said.endswith("output answer: has numbers that are not finite (NaN)")
+    message = refused(write_answer(tmp_path, output, layout="lanes", classes=2))
+    assert message.endswith("output answer: has numbers that are not finite (NaN)")
 
 
 # --- the ONNX file ----------------------------------------------------------------------------
 
 
-def test_opencv_computes_what_onnxruntime_computes(tmp_path: Path) -> None:
+def test_opencv_computes_the_outputs_of_onnxruntime(tmp_path: Path) -> None:
     network = read_network(write_top_hat(tmp_path, 160, 120))
     fit, image = fit_of(network, 160, 120), noise(160, 120)
     session = onnxruntime.InferenceSession(network.model)
@@ -202,6 +202,6 @@ def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> No
     onnx.save(onnx.load(str(file)), str(file), **apart)
     assert np.array_equal(started(path)(noise(160, 120))["mask"], whole)
     weights.write_bytes(weights.read_bytes()[:10])
-    assert f"model: {file}: is no ONNX file that can be read: " in refused(path)
+    assert f"model: {file}: is not an ONNX file that can be read: " in refused(path)
     weights.unlink()
     assert str(weights) in refused(path)

@@ -54,7 +54,7 @@ def test_a_lens_that_folds_over_does_not_show_the_picture_twice():
     assert view.valid[inside & (radius < 0.9)].all()
 
 
-def test_what_the_camera_is_to_ignore_is_not_seen():
+def test_ignored_parts_are_not_seen():
     view = make_view(CAMERA, 5, 25, -5, 5)
     less = make_view(replace(CAMERA, ignore=((0, 430, 960, 540), (0, 0, 300, 540))), 5, 25, -5, 5)
     u, v = road_to_image(CAMERA, view.x_m[:, None], view.y_m)

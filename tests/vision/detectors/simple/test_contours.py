@@ -53,7 +53,7 @@ def test_a_bar_across_its_row_has_the_direction_of_its_middles(to_the_right: int
     assert strips.slope_sd == pytest.approx([0.2 / 4.0], rel=0.05)
 
 
-def test_what_is_small_or_lies_across_the_road_is_dropped_and_the_rest_numbered_anew() -> None:
+def test_contours_that_are_small_or_across_the_road_are_dropped_and_the_rest_renumbered() -> None:
     mask = nothing()
     mask[230:232, 20:23] = 1  # 0.03 m^2
     for row in range(100, 110):

@@ -40,20 +40,22 @@ def pictures(n: int, pitching: float = 0.0) -> tuple[Picture, ...]:
 def detected(
     camera: Camera, shown: Sequence[Picture], name: str = "ml", **parameters: Any
 ) -> tuple[list[FrameLines], list[str]]:
-    """The lines of each picture, and what was warned of."""
+    """The lines of each picture and the warnings."""
     detector = runner.find_detector(name, parameters, Path(), "detector")
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lines = [found for _, found in runner.detect(detector, camera, shown)]
-    return lines, [str(one.message) for one in said]
+    return lines, [str(one.message) for one in caught]
 
 
 @needs_compiler
 def test_a_drift_is_warned_of_once_and_names_camera_estimate_and_calibration() -> None:
-    _, said = detected(turned(1.0, name="front.yaml"), pictures(14))
-    (line,) = said
-    said_deg, sd = re.search(r"of (-[\d.]+) degrees \(standard deviation ([\d.]+)\)", line).groups()
-    assert float(said_deg) == pytest.approx(CAMERA.pitch_deg, abs=float(sd))
+    _, messages = detected(turned(1.0, name="front.yaml"), pictures(14))
+    (line,) = messages
+    estimate_deg, sd = re.search(
+        r"of (-[\d.]+) degrees \(standard deviation ([\d.]+)\)", line
+    ).groups()
+    assert float(estimate_deg) == pytest.approx(CAMERA.pitch_deg, abs=float(sd))
     assert "front.yaml: the lines of the road show a pitch of" in line
     assert "calibrated with pitch_deg -3.00" in line
     assert line.endswith("the pitch is corrected from here on")
@@ -62,16 +64,18 @@ def test_a_drift_is_warned_of_once_and_names_camera_estimate_and_calibration() -
 @needs_compiler
 @pytest.mark.parametrize("name", ["ml", "mc"])
 def test_a_car_that_pitches_by_a_third_of_a_degree_is_not_warned_of(name: str) -> None:
-    _, said = detected(CAMERA, pictures(20, pitching=0.3), name)
-    assert not said
+    _, messages = detected(CAMERA, pictures(20, pitching=0.3), name)
+    assert not messages
 
 
 @needs_compiler
 @pytest.mark.parametrize("away", [-1.0, 1.0])
 def test_the_pitch_is_corrected_and_lines_ahead_are_in_their_places(away: float) -> None:
     def places(choice: str) -> FloatArray:
-        lines, said = detected(turned(away), pictures(14), camera_drift=choice, beyond_edge="keep")
-        assert [line.endswith("corrected from here on") for line in said] == (
+        lines, messages = detected(
+            turned(away), pictures(14), camera_drift=choice, beyond_edge="keep"
+        )
+        assert [line.endswith("corrected from here on") for line in messages] == (
             [True] if choice == "correct" else []
         )
         shape = lines[-1].shape[lines[-1].is_valid]
@@ -94,8 +98,8 @@ def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected(
     for k in range(10, 40):
         image = road(LINES, 3.1 * k, camera=turned(-1.0), seed=k)
         shown.append(Picture(k, image))
-    lines, said = detected(CAMERA, shown, camera_drift="correct")
-    (line,) = said
+    lines, messages = detected(CAMERA, shown, camera_drift="correct")
+    (line,) = messages
     assert f"calibrated with pitch_deg {CAMERA.pitch_deg:.2f}" in line
     for found in lines[12:]:
         assert found.offset_m[found.is_valid][-2:] == pytest.approx([-1.8, 1.86], abs=0.5)

@@ -29,7 +29,9 @@ def test_a_drive_is_followed_with_the_plane_that_elas_shows() -> None:
     np.testing.assert_allclose(lines["elas"].offset_m, lines["sgbm"].offset_m, atol=0.1)
 
 
-def test_elas_that_is_not_installed_says_how_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_if_elas_is_missing_the_message_has_the_command_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "elas", None)
     detector = find_detector("sc", {"matcher": "elas", "match_rows": 1}, Path.cwd(), "detector")
     with pytest.raises(InputError, match=r"matcher: elas is not installed: .*\[elas\]'$"):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.detectors.simple import fit
 from egolane_pgm.vision.detectors.simple import kernels as _kernels
 from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
@@ -36,6 +37,18 @@ def at(found: Found, x: float):
 
 def found_in(image, view=VIEW, parameters=DEFAULTS, **more) -> Found:
     return find_lines(view, image, parameters, **more)
+
+
+@pytest.mark.parametrize("shape", [(-9, 0.1, 0.03, 0), (3, 0, 0, 0.003), (-2, 0, 0.03, -0.006)])
+def test_the_visible_length_of_a_line_follows_its_bends(shape):
+    rows = np.arange(0, len(VIEW.x_m), 4)
+    x = VIEW.x_m[rows]
+    y = np.polyval([shape[3] / 6, shape[2] / 2, shape[1], shape[0]], x)
+    column = np.floor((y - VIEW.y_m[0]) / VIEW.across_m + 0.5).astype(int)
+    is_inside = (column >= 0) & (column < len(VIEW.y_m))
+    n_seen = VIEW.valid[rows[is_inside], column[is_inside]].sum()
+    assert 0 < n_seen < len(rows)
+    assert fit._visible(VIEW, np.array([shape])) == pytest.approx([n_seen * 4 * VIEW.along_m])
 
 
 @needs_compiler

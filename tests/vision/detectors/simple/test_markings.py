@@ -42,7 +42,7 @@ def test_a_narrow_strip_is_marking_and_nothing_beside_it(width: int) -> None:
     assert columns(mask_of(above)) == list(range(90, 90 + width))
 
 
-def test_a_strip_wider_than_a_marking_is_none() -> None:
+def test_a_strip_wider_than_a_marking_is_not_one() -> None:
     above = grey()
     above[:, 90:97] = 130  # 0.35 m
     assert not mask_of(above).any()
@@ -64,7 +64,7 @@ def test_a_marking_adds_its_share_of_the_brightness_around() -> None:
     assert columns(mask_of(shade)) == [90, 91, 92]
 
 
-def test_what_is_as_rough_as_all_around_is_no_marking() -> None:
+def test_a_strip_as_rough_as_its_surroundings_is_not_a_marking() -> None:
     above = grey()
     above[:, 90:93] = 110
     assert columns(mask_of(above)) == [90, 91, 92]
@@ -74,7 +74,7 @@ def test_what_is_as_rough_as_all_around_is_no_marking() -> None:
     assert mask_of(above, least_rise=0.5)[:, 90:93].all()
 
 
-def test_road_between_parts_that_are_not_seen_is_no_marking() -> None:
+def test_road_between_hidden_parts_is_not_a_marking() -> None:
     valid = VIEW.valid.copy()
     valid[:, 90:92] = valid[:, 95:97] = False
     above = grey()

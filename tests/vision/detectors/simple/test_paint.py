@@ -29,7 +29,7 @@ def test_a_continuous_line_is_painted_all_along(offset: float) -> None:
 
 
 @pytest.mark.parametrize(("dash", "period"), [(3.0, 9.0), (4.5, 12.0), (5.0, 17.0)])
-def test_of_a_dashed_line_the_dashes_are_painted(dash: float, period: float) -> None:
+def test_a_dashed_line_is_painted_at_its_dashes(dash: float, period: float) -> None:
     """Averaged over a drive: the share is that of the dashes, seen a little too long."""
     line = Paint(1.8, dash, period)
     shares = [share(road([line], travelled), line)[0] for travelled in np.arange(0, period, 1.3)]
@@ -54,14 +54,14 @@ def test_a_yellow_line_is_as_bright_as_a_white_one() -> None:
 
 
 @pytest.mark.parametrize("noise", [3.0, 12.0, 25.0])
-def test_noise_is_no_paint(noise: float) -> None:
+def test_noise_is_not_paint(noise: float) -> None:
     line, dashed = Paint(1.8), Paint(1.8, 4.0, 12.0)
     # What noise looks like is all that is there, also where one line is expected.
     assert share(road([], noise=noise), line)[0] < 0.25
     assert share(road([dashed], 2.0, noise=noise), line)[0] < 0.6
 
 
-def test_too_little_in_view_says_nothing() -> None:
+def test_the_flag_is_unknown_if_too_little_is_in_view() -> None:
     line = Paint(1.8)
     assert np.isnan(share(road([line]), Paint(30.0)))[0]
     assert share(road([line])).shape == (0,)

@@ -25,7 +25,7 @@ heights = st.floats(1.0, 2.5)
 
 
 @given(pitches, st.floats(-5, 5), rolls, heights, st.floats(5, 60), st.floats(-8, 8))
-def test_the_disparity_of_the_road_is_that_of_its_projection_in_both_cameras(
+def test_the_disparity_of_the_road_equals_its_projection_in_both_cameras(
     pitch: float, yaw: float, roll: float, height: float, x: float, y: float
 ) -> None:
     left = replace(PAIR, pitch_deg=pitch, yaw_deg=yaw, roll_deg=roll, height_m=height)
@@ -128,7 +128,7 @@ def test_lines_on_flanks_are_dropped() -> None:
 
 
 @pytest.mark.parametrize(("mono", "stereo"), [("ml", "sl"), ("mc", "sc")])
-def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) -> None:
+def test_on_an_empty_road_two_cameras_find_the_lines_of_one(mono: str, stereo: str) -> None:
     steps = [start(find_detector(name, {}, Path.cwd(), "x"), DRAWN) for name in (mono, stereo)]
     for k in range(K, K + 4):
         pair = drawn(k).picture
@@ -166,7 +166,7 @@ def test_parameters_and_cameras_that_cannot_be_matched_are_named(
         ("left one smaller", "left: a picture of 656x540 pixels"),
     ],
 )
-def test_pictures_that_are_no_pair_are_named(wrong: str, message: str) -> None:
+def test_pictures_that_are_not_a_pair_are_named(wrong: str, message: str) -> None:
     image, right = drawn().image, drawn().right
     left, other = {
         "no right one": (image, None),

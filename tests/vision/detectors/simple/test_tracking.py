@@ -183,7 +183,7 @@ def test_one_line_that_moves_alone_does_not_take_the_others_along() -> None:
     assert offset_of(tracks, 5) == pytest.approx(9.0, abs=0.03)
 
 
-def test_the_covariance_is_that_of_the_kalman_filter() -> None:
+def test_the_covariance_equals_a_kalman_filter() -> None:
     rule = made()
     one = followed(rule, [seen(at(-1.8))])[-1]
     two = advance(one, rule, *seen(at(-1.8)))

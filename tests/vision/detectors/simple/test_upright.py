@@ -78,7 +78,7 @@ def test_without_the_search_for_vehicles_their_edges_become_a_line() -> None:
     assert len(inside(find_lines(VIEW, image, BLIND), -2, 2))
 
 
-def test_the_road_beside_and_before_a_vehicle_is_free_and_that_behind_it_is_not() -> None:
+def test_the_road_beside_and_before_a_vehicle_is_free_and_the_road_behind_it_is_not() -> None:
     image = with_box(road(LANE, camera=CAMERA), 12.0, -0.9, 0.9)
     free = free_road(VIEW, from_above(VIEW, image), DEFAULTS)
     ray = np.abs(VIEW.y_m / VIEW.x_m[:, None])
@@ -105,7 +105,7 @@ def test_the_shade_of_a_bridge_and_a_dark_seam_are_road() -> None:
 
 
 @pytest.mark.parametrize("sky", [150, 10, 0])
-def test_a_road_under_a_dark_sky_is_no_daylight(sky: int) -> None:
+def test_a_road_under_a_dark_sky_is_not_daylight(sky: int) -> None:
     image = road(LANE, camera=CAMERA)
     image[: int(_horizon(CAMERA))] = sky
     assert is_daylight(CAMERA, image) == (sky == 150)
@@ -122,7 +122,7 @@ def test_lines_are_found_on_a_black_road_at_night() -> None:
         assert len(inside(found, line - 0.1, line + 0.1)) == 1
 
 
-def test_what_is_no_road_does_not_count_as_light() -> None:
+def test_only_road_counts_as_light() -> None:
     image = road(LANE, camera=CAMERA)
     top = int(_horizon(CAMERA))
     image[:top] = 10
