@@ -63,10 +63,10 @@ def test_draws_without_a_value_do_not_count() -> None:
 def test_what_cannot_be_checked_is_refused() -> None:
     with pytest.raises(ego.InputError, match=r"check: rain: no node 'Rain'; there are .*Lane"):
         ego.check(RESULT, {"rain": share("Rain", 0)}, n=2)
-    for changes, said in (
+    for changes, message in (
         ({"frames": RESULT.frames.assign(drive="a")}, "has several drives"),
         ({"lines": {}}, "has no lines"),
         ({"run": {**RESULT.run, "fit": "tune"}}, "is held out, with a model per block"),
     ):
-        with pytest.raises(ego.InputError, match=f"check: quickstart: {said}"):
+        with pytest.raises(ego.InputError, match=f"check: quickstart: {message}"):
             ego.check(replace(RESULT, **changes))

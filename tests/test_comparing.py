@@ -20,7 +20,8 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.result import Result, load_result
 from egolane_pgm.runs import open_input, run_input
-from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, bootstrap_interval, score_counts
+from egolane_pgm.scoring.bootstrap import bootstrap_interval
+from egolane_pgm.scoring.scores import SCORES, Answers
 from egolane_pgm.studies.study import run_held_out, run_study
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_text
@@ -28,7 +29,7 @@ from tests.conftest import needs_compiler
 from tests.kits.drives import geometry, run, simulated, write_drive
 from tests.kits.studies import drive_of
 
-accuracy = INTERVAL_STATISTICS["accuracy"]
+accuracy = SCORES["accuracy"].statistic
 
 SIDES = ("sensor_failure", "lane_only")
 
@@ -50,8 +51,9 @@ def interval(row: Any, name: str) -> list[float]:
 
 def counts_of(result: Result, column: str = "assigned_lane") -> Any:
     assert result.truth is not None
-    lane, crossing = result.truth["true_lane"], result.truth["is_crossing"]
-    return score_counts(result.node("Lane"), lane, crossing, result.frames[column])["accuracy"]
+    truth = [result.truth[name].to_numpy() for name in ("true_lane", "is_crossing")]
+    answers = Answers(result.node("Lane"), *truth, result.frames[column].to_numpy())
+    return SCORES["accuracy"].summands(answers)
 
 
 def test_a_difference_is_paired_and_to_the_first_side(results: list[Result]) -> None:
@@ -156,7 +158,7 @@ def test_log_evidence_is_compared_over_the_frames_that_all_have(results: list[Re
     counts = [np.zeros((1000, 2)), np.zeros((1000, 2))]
     for count, values in zip(counts, each, strict=True):
         count[is_kept] = np.stack([values, np.ones(998)], axis=1)
-    ratio = INTERVAL_STATISTICS["log_loss"]
+    ratio = SCORES["log_loss"].statistic
     row = found.loc["other"]
     expected = bootstrap_interval(counts[1:], ratio, minus=counts[:1])
     ours = interval(row, "log_evidence_difference")

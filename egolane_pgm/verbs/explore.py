@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from annotated_types import Ge
 
@@ -29,7 +29,7 @@ def explore(
     ground_truth: options.TruthInMemory = None,
     n_lanes: options.LanesInMemory = None,
     overrides: options.Overrides = (),
-    judge: Literal["log_loss", "accuracy", "log_evidence", "bic"] = "log_loss",
+    judge: Annotated[str, Option("SCORE")] = "log_loss",
     edge: Annotated[Sequence[str], Option("EDGE")] = (),
     node: Annotated[Sequence[str], Option("NAME=SIZE")] = (),
     searches: Annotated[int, Ge(1)] = 1,
@@ -48,8 +48,8 @@ def explore(
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
     - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
-    - judge: the score to improve: log_loss or accuracy of Lane, or log_evidence of the lines, in
-      held-out frames; or bic of all frames.
+    - judge: the score to improve in held-out frames: log_loss, accuracy or another one of Lane, or
+      log_evidence of the lines; or bic of all frames.
     - edge: a candidate, e.g. 'Lane(t-1) -> WOR'; by default all that can be compiled. Repeatable.
     - node: a hidden node to add, e.g. Occlusion=2. Repeatable.
     - searches: number of searches, each with another seed of the new edges.

@@ -151,8 +151,8 @@ def drives(draw: st.DrawFn) -> tuple[pd.DataFrame, pd.DataFrame]:
     lane = np.repeat(rng.integers(1, n_lanes + 1, 60), rng.integers(2, longest, 60))[:size]
     crossing = np.repeat(rng.random(60) < 0.4, rng.integers(1, 6, 60))[:size]
     frame_id = np.cumsum(rng.integers(1, 3, size))
-    told = np.sort(rng.choice(130, draw(st.integers(0, 6)), replace=False))
-    lanes = [(int(f), *map(int, rng.permutation(max(n_lanes, 2))[:2] + 1)) for f in told]
+    detected = np.sort(rng.choice(130, draw(st.integers(0, 6)), replace=False))
+    lanes = [(int(f), *map(int, rng.permutation(max(n_lanes, 2))[:2] + 1)) for f in detected]
     return events_at(*lanes), lane_truth(frame_id, lane, crossing)
 
 

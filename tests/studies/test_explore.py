@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import optuna
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -16,9 +17,11 @@ from egolane_pgm.drives import Drive
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import compile_tables
 from egolane_pgm.inference.expected_counts import free_parameters
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.studies import explore as module
 from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
+from egolane_pgm.studies.objective import drive_summands
 from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
 from egolane_pgm.studies.study import block_folds, everything
 from tests.benchmarks.workbench import search
@@ -88,24 +91,56 @@ def test_a_pruned_set_is_not_the_answer(sampler: Any) -> None:
     assert (len(all_sets.structures), len(alone.structures)) == (4, 3)
 
 
+def judgement(values: Any, free_parameters: int) -> pd.DataFrame:
+    """What `judged` returns for the values (T,) of each recording, as of a mean."""
+    recording = np.repeat(np.arange(len(values)), [len(each) for each in values])
+    table = pd.DataFrame({"0": np.concatenate(values), "1": 1.0, "recording": recording})
+    table.attrs = {"free_parameters": free_parameters}
+    return table
+
+
 def test_recordings_of_one_drive_count_once_over_drives() -> None:
     tried, edge = module.Tried(replace(BIC, drive_ids=(0, 1, 1)), None), frozenset({REPEATS})
-    tried.found[frozenset(), 0] = [np.zeros(700)] * 3, {"numbers": 1}
-    tried.found[edge, 0] = [np.full(700, each) for each in (0.1, 0.2, 0.6)], {"numbers": 2}
+    tried.found[frozenset(), 0] = judgement([np.zeros(700)] * 3, 1)
+    tried.found[edge, 0] = judgement([np.full(700, each) for each in (0.1, 0.2, 0.6)], 2)
     gain = tried.gain(edge)
     of_frames = [gain["gain"], gain["gain_low"], gain["gain_high"]]
     np.testing.assert_allclose(of_frames, 0.3)
     of_drives = [gain["over_drives"], gain["over_drives_low"], gain["over_drives_high"]]
     np.testing.assert_allclose(of_drives, [0.25, *stats.t.interval(0.95, 1, 0.25, 0.15)])
-    assert (gain["drives"], gain["numbers"]) == (2, 1)
+    assert (gain["drives"], gain["free_parameters"]) == (2, 1)
+    # A loss that grows is no gain.
+    tried.problem = replace(tried.problem, judge="brier")
+    assert tried.gain(edge)["gain"] == pytest.approx(-0.3)
+    assert tried.gain(edge)["drives"] == 0
 
 
 def test_only_frames_of_trusted_labels_outside_of_crossings_are_judged() -> None:
     drive = fitting(DRIVE, untrusted_frames=[[40, 90]])
     problem = make_problem([drive], block_folds([drive], 2))
-    values = np.concatenate([judged(problem, ((), k))[0][0] for k in (0, 1)])
+    counted = np.concatenate([judged(problem, ((), k))["1"] for k in (0, 1)])
     is_untrusted = (drive.log.frame_id[drive.rows] >= 40) & (drive.log.frame_id[drive.rows] < 90)
-    np.testing.assert_array_equal(np.isnan(values), is_untrusted | drive.is_crossing[drive.rows])
+    np.testing.assert_array_equal(counted == 0, is_untrusted | drive.is_crossing[drive.rows])
+
+
+@pytest.mark.parametrize("judge", SCORES)
+def test_any_score_is_a_judge(judge: str) -> None:
+    """Its score is that of the held-out frames of all folds together."""
+    folds = block_folds([DRIVE], 2)
+    problem = make_problem([DRIVE], folds, judge=judge)
+    found = explore(problem, ["Lane -> WOR"])
+    score, summands = SCORES[judge], []
+    for fold in folds:
+        [evidence], is_used = problem.evidence, np.zeros(len(DRIVE), dtype=bool)
+        is_used[fold.test[0]] = True
+        is_used &= ~DRIVE.is_crossing[DRIVE.rows]
+        beliefs = ego.filter_beliefs(fitted(problem, frozenset(), fold)[0], evidence)
+        [each] = drive_summands([DRIVE], [beliefs], [is_used], judge)
+        summands.append(each.sum(axis=0))
+    expected = score.statistic(np.sum(summands, axis=0)) * (1 if score.is_maximised else -1)
+    start = found.structures.set_index("edges").loc["none", "score"]
+    assert start == pytest.approx(expected)
+    assert found.judge.startswith("gain in held-out ")
 
 
 def test_a_gain_by_chance_ends_a_greedy_search() -> None:
@@ -115,7 +150,7 @@ def test_a_gain_by_chance_ends_a_greedy_search() -> None:
     gains = {frozenset[Edge](): 0.0, frozenset({clear}): 0.1, frozenset({other}): chance}
     gains[frozenset(ADDED)] = chance + 0.1
     for structure, gain in gains.items():
-        tried.found[structure, 0] = [gain + np.zeros(3000)], {"numbers": 1}
+        tried.found[structure, 0] = judgement([gain + np.zeros(3000)], 1)
     assert module._greedy(tried, ADDED) == {clear}
 
 
@@ -150,7 +185,8 @@ def test_free_parameters_and_bic_by_hand() -> None:
     plain = np.array([[0.5, 0.5], [1.0, 0.0], [0.9, 0.1]])
     tables = [Table(("A", 1), (("A", 0),), repeated), Table(("B", 1), (("A", 1),), plain)]
     assert free_parameters({t.node: t for t in tables}, [("A", 1)]) == (1 + 1) + (1 + 0 + 1)
-    [evidence], (_, found) = BIC.evidence, judged(BIC, (frozenset(), 0))
+    [evidence] = BIC.evidence
+    found = judged(BIC, ((), 0)).attrs
     lane = np.where(DRIVE.is_crossing, -1, DRIVE.true_lane - 1)
     fit = ego.fit_tables(START, evidence, {"Lane": lane}, strength=1.0, iterations=50)
     log_evidence = ego.filter_beliefs(fit.compiled, evidence).log_evidence.sum()
@@ -172,7 +208,9 @@ def test_edges_are_read_as_they_are_written() -> None:
 OF_INPUT = replace(BIC, model=replace(BIC.model, compiled=replace(START, inputs=("Lane",))))
 REFUSED = {
     "no node 'Rain'": lambda: parse_edge("Rain -> WOR", START.values),
-    "'best' is not one of": lambda: make_problem([DRIVE], [], judge="best"),
+    "judge: unknown score 'acuracy' .did you mean 'accuracy'": lambda: make_problem(
+        [DRIVE], [], judge="acuracy"
+    ),
     "log_loss needs held-out frames": lambda: make_problem([DRIVE], []),
     "log_loss needs ground truth": lambda: make_problem([UNLABELLED], [WHOLE]),
     "differ in n_lanes": lambda: make_problem([DRIVE, FIVE_LANES], [WHOLE]),

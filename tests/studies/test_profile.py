@@ -57,7 +57,7 @@ def test_a_profile_finds_what_a_grid_of_the_other_parameters_finds() -> None:
         assert found < min(grid) + 1e-3
 
 
-@pytest.mark.parametrize("name", ["accuracy", "log_loss"])
+@pytest.mark.parametrize("name", ["accuracy", "log_loss", "brier"])
 def test_a_value_is_ruled_out_by_the_interval_of_its_difference_to_the_best(name: str) -> None:
     """Two searched parameters, of which one is profiled alone: every point is known."""
     drive = drive_of(simulated())
@@ -81,9 +81,11 @@ def test_a_value_is_ruled_out_by_the_interval_of_its_difference_to_the_best(name
         pair = [counts[best], mine][::sign]
 
         def mean(sums: Any) -> Any:
-            if name == "log_loss":
+            if name != "accuracy":
                 return sums[..., 0] / sums[..., 1]
-            return np.trace(sums, axis1=-2, axis2=-1) / sums.sum(axis=(-1, -2))
+            # The cells of the right lanes in the matrix of n + 1 rows.
+            n = drive.model.n_lanes
+            return sums[..., : n * n : n + 1].sum(axis=-1) / sums.sum(axis=-1)
 
         loss = bootstrap_interval([pair[0]], mean, minus=[pair[1]])
         assert (row.difference, row.low) == pytest.approx((loss.estimate, loss.low))
@@ -97,13 +99,13 @@ def test_a_profile_is_saved_and_another_process_searches_nothing_again(tmp_path:
     shown = done(*words).stdout
     assert "profile of accuracy (in-sample), others searched again" in shown
     assert max(map(len, shown.splitlines()[:-1])) <= 80
-    first, kept = pd.read_parquet(out / "profile.parquet"), set(out.rglob("output.pkl"))
+    first, kept = pd.read_parquet(out / "profile.parquet"), set(out.glob("profiled/*.parquet"))
     assert first["value"].tolist() == list(range(10))
     assert len(kept) == 10 * module.PASSES
     with started(*words) as again:
         again.communicate()
     assert again.returncode == 0
-    assert set(out.rglob("output.pkl")) == kept
+    assert set(out.glob("profiled/*.parquet")) == kept
     pd.testing.assert_frame_equal(pd.read_parquet(out / "profile.parquet"), first)
 
 

@@ -15,7 +15,7 @@ from tests.kits.drives import done, refused
 
 def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_path):
     out = tmp_path / "a" / "cam.yaml"
-    said = done(
+    output = done(
         "calibrate", "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
         "--ignore", 0, 700, 1280, 720, "-o", out,
     ).output  # fmt: skip
@@ -26,11 +26,11 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
     text = "\n".join(comment)
     for word in ("chessboards (9x6 inner corners) of 10", "px RMS", "meet at", "3.7 m"):
         assert word in text
-    assert said.count("px RMS\n") >= 8
+    assert output.count("px RMS\n") >= 8
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--lane-width", "3.7"], "Missing option '--stills'"),
         (["--lane-width", "3.7", "--stills", "nowhere/*.jpg"], "nowhere/*.jpg: has no pictures"),
@@ -40,20 +40,20 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
         ),
     ],
 )
-def test_bad_options_are_one_line(tmp_path, arguments, said):
-    assert said in refused("calibrate", *arguments, "-o", tmp_path / "cam.yaml")
+def test_bad_options_are_one_line(tmp_path, arguments, message):
+    assert message in refused("calibrate", *arguments, "-o", tmp_path / "cam.yaml")
     assert not (tmp_path / "cam.yaml").exists()
 
 
 def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640, 3), np.uint8))
     words = ("--chessboards", boards, "--stills", tmp_path / "a.png", "--lane-width", 3.7)
-    said = refused("calibrate", *words, "-o", tmp_path / "c.yaml")
-    assert "the chessboards are 1280x720, the road's pictures 640x480" in said
+    output = refused("calibrate", *words, "-o", tmp_path / "c.yaml")
+    assert "the chessboards are 1280x720, the road's pictures 640x480" in output
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ("--ignore 0 720 480 900", "--ignore: 0 720 480 900 is not in a picture of 1280x720"),
         ("--ignore 1280 0 1300 90", "--ignore: 1280 0 1300 90 is not in a picture of 1280x720"),
@@ -61,11 +61,11 @@ def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     ],
 )
 def test_what_does_not_fit_the_pictures_or_a_road_is_refused(
-    stills: Path, tmp_path: Path, given: str, said: str
+    stills: Path, tmp_path: Path, given: str, message: str
 ) -> None:
     target = tmp_path / "cam.yaml"
     words = ("--lane-width", 3.7, "--stills", stills, *given.split(), "-o", target)
-    assert refused("calibrate", *words) == said
+    assert refused("calibrate", *words) == message
     assert not target.exists()
 
 

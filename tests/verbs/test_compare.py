@@ -60,7 +60,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("", "Missing argument"),
         ("{0}/gone", "gone: is not a result directory"),
@@ -75,7 +75,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
     ],
 )
 def test_what_cannot_be_compared_is_refused(
-    results: Path, tmp_path: Path, words: str, said: str
+    results: Path, tmp_path: Path, words: str, message: str
 ) -> None:
     blind = results.parent / "blind"
     if not blind.exists():
@@ -83,4 +83,4 @@ def test_what_cannot_be_compared_is_refused(
         done("run", lines, "--n-lanes", 3, "--no-figures", "--out", tmp_path / "blind")
         shutil.move(tmp_path / "blind", blind)
     given = words.format(results).split()
-    assert said in refused("compare", *given)
+    assert message in refused("compare", *given)

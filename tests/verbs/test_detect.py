@@ -71,9 +71,9 @@ def test_detect_writes_a_recording_that_run_takes(
     place: Path, tmp_path: Path, extension: str
 ) -> None:
     target = tmp_path / f"lines.{extension}"
-    said = detected(place / "drive.avi", place / "cam.yaml", target)
-    assert f"{N_FRAMES} frames, ids 0 to {N_FRAMES - 1}" in said
-    assert "lines per frame" in said
+    output = detected(place / "drive.avi", place / "cam.yaml", target)
+    assert f"{N_FRAMES} frames, ids 0 to {N_FRAMES - 1}" in output
+    assert "lines per frame" in output
     log = read_lines(target)
     assert log.time_s[-1] == pytest.approx((N_FRAMES - 1) / 12.5)
     near = np.abs(log.offset_m[-1][:, None] - [-5.2, -1.7, 1.8]).min(axis=0)
@@ -129,7 +129,7 @@ def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
     kept = yaml.safe_load((tmp_path / "out/experiment.yaml").read_text())
     assert kept["recording"]["path"] == str(place / "drive.avi")
     assert kept["recording"]["camera"] == str(place / "cam.yaml")
-    # The video's own frame rate, where the YAML says none.
+    # The video's own frame rate, if the YAML has none.
     assert kept["recording"]["frame_rate"] == 12.5
     data = json.loads((tmp_path / "out/run.json").read_text())["data"]
     assert [Path(entry["path"]).name for entry in data] == ["drive.avi", "cam.yaml"]
@@ -143,9 +143,9 @@ def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["--experiment", "quickstart", "--camera", place / "cam.yaml"]
     words += ["--detector", "mc", "--n-lanes", 2, "--no-figures", "--out", out]
-    said = done("run", place / "drive.avi", *words).stdout
-    assert "16 frames, 2 lanes" in said
-    assert "at the end: lane " in said
+    output = done("run", place / "drive.avi", *words).stdout
+    assert "16 frames, 2 lanes" in output
+    assert "at the end: lane " in output
     kept = load_result(out).experiment.recording
     assert (kept.detector, kept.frame_rate) == ("mc", 12.5)
 
@@ -168,9 +168,9 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
     data = first.run["data"]
     assert [Path(e["path"]).name for e in data] == ["pictures", "cam.yaml", "my_detector.py"]
     cv2.imwrite(str(folder / "0.png"), images(2)[1])
-    told = run(tmp_path / "run.yaml", ["recording.frame_rate=25"])
-    assert not any("are assumed" in note for note in told.notes)
-    assert told.run["data"][0]["sha256"] != data[0]["sha256"]
+    given = run(tmp_path / "run.yaml", ["recording.frame_rate=25"])
+    assert not any("are assumed" in note for note in given.notes)
+    assert given.run["data"][0]["sha256"] != data[0]["sha256"]
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
         ({"detector": None}, "of a video a detector"),
     ],
 )
-def test_what_does_not_fit_is_said_with_its_key_by_validate_and_run(
+def test_a_key_that_does_not_fit_is_named_by_validate_and_run(
     place: Path, tmp_path: Path, recording: dict[str, object], message: str
 ) -> None:
     content = yaml.safe_load((place / "run.yaml").read_text())
@@ -207,22 +207,22 @@ def test_a_video_that_breaks_off_gives_what_was_there_and_one_warning(
         "detect", tmp_path / "cut.avi", "--camera", place / "cam.yaml", "-o", tmp_path / "l.csv"
     )
     assert ran.exit_code == 0, ran.stderr
-    said = [line for line in ran.stderr.splitlines() if line.startswith("warning")]
-    assert len(said) == 1
-    assert f"of the {N_FRAMES} frames that it should have (cut off, " in said[0]
+    output = [line for line in ran.stderr.splitlines() if line.startswith("warning")]
+    assert len(output) == 1
+    assert f"of the {N_FRAMES} frames that it should have (cut off, " in output[0]
     assert 5 < len(read_lines(tmp_path / "l.csv")) < N_FRAMES
 
 
-def test_pictures_of_the_same_aspect_ratio_scale_the_camera_and_it_is_said_once(
+def test_pictures_of_the_same_aspect_ratio_scale_the_camera_with_one_warning(
     place: Path, tmp_path: Path
 ) -> None:
     larger = [cv2.resize(image, (960, 540)) for image in images(12)]
     video = write_video(tmp_path / "large.avi", larger)
     target = tmp_path / "l.csv"
     words = ("--camera", place / "cam.yaml", "-o", target)
-    told = done("detect", video, *words)
-    (said,) = [line for line in told.stderr.splitlines() if "960x540" in line]
-    assert "cam.yaml was calibrated for 480x270: it is scaled to them" in said
+    ran = done("detect", video, *words)
+    [warning] = [line for line in ran.stderr.splitlines() if "960x540" in line]
+    assert "cam.yaml was calibrated for 480x270: it is scaled to them" in warning
     seen = read_lines(target).offset_m[-1]
     done("detect", write_video(tmp_path / "as_is.avi", images(12)), *words)
     calibrated = read_lines(target).offset_m[-1]
@@ -233,14 +233,14 @@ def test_a_camera_too_high_for_a_lorry_is_doubted_and_used(place: Path, tmp_path
     target = tmp_path / "l.csv"
     for height_m, is_doubted in ((2.6, False), (3.6, True)):
         write_camera(tmp_path / "cam.yaml", replace(CAMERA, height_m=height_m))
-        said = done(
+        output = done(
             *("detect", place / "drive.avi", "--camera", tmp_path / "cam.yaml", "-o", target)
         ).stderr
-        assert is_doubted == ("cam.yaml: doubtful: the camera is 3.60 m above the road" in said)
+        assert is_doubted == ("cam.yaml: doubtful: the camera is 3.60 m above the road" in output)
         assert len(read_lines(target)) == N_FRAMES
 
 
-def test_pictures_without_a_rate_get_the_one_that_is_said(place: Path, tmp_path: Path) -> None:
+def test_pictures_without_a_rate_get_the_given_one(place: Path, tmp_path: Path) -> None:
     folder, target = write_pictures(tmp_path / "pictures", images(4)), tmp_path / "l.csv"
     words = ("detect", folder, "--camera", place / "cam.yaml", "-o", target)
     assert "has no frame rate: 10 pictures per second are assumed" in done(*words).stderr
@@ -276,8 +276,8 @@ def test_a_stereo_detector_gets_the_pictures_of_both_cameras(pair: Path) -> None
 def test_pairs_that_do_not_match_are_refused(pair: Path) -> None:
     assert "needs the pictures of a second camera" in refused(*stereo_words(pair))
     (pair / "right/3.png").unlink()
-    said = refused(*with_right(pair))
-    assert "have not equally many pictures" in said
+    output = refused(*with_right(pair))
+    assert "have not equally many pictures" in output
     cv2.imwrite(str(pair / "right/3.png"), np.zeros((100, 100, 3), dtype=np.uint8))
     assert "frame 3: a picture of 100x100" in refused(*with_right(pair))
     write_camera(pair / "pair.yaml", CAMERA)

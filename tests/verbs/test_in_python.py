@@ -111,7 +111,7 @@ def test_nothing_is_written_without_a_place(
 
 
 @pytest.mark.parametrize(
-    ("verb", "given", "said"),
+    ("verb", "given", "message"),
     [
         (ego.run, {"given": QUICKSTART, "overrides": "a=3"}, "overrides: 'a=3': needs a dict, or"),
         (ego.run, {"given": 3}, "3 is no experiment; give the path of a YAML file"),
@@ -127,8 +127,8 @@ def test_nothing_is_written_without_a_place(
     ],
 )
 def test_an_argument_that_does_not_fit_is_one_line(
-    verb: Any, given: dict[str, Any], said: str
+    verb: Any, given: dict[str, Any], message: str
 ) -> None:
-    with warnings.catch_warnings(), pytest.raises(ego.InputError, match=said) as caught:
+    with warnings.catch_warnings(), pytest.raises(ego.InputError, match=message) as caught:
         verb(**given)
     assert "\n" not in str(caught.value)

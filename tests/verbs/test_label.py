@@ -1,4 +1,4 @@
-"""`egolane label`: what it writes and says, and what it refuses."""
+"""`egolane label`: its files, its output, and its refusals."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) ->
     write_ground_truth(tmp_path / "other.txt", truth.assign(true_lane=truth["true_lane"] % 3 + 1))
     for file, accuracy in ((mine, 1), (tmp_path / "other.txt", 0)):
         words = ("--n-lanes", 3, "--ground-truth", file, "--out", tmp_path / "x")
-        said = done("label", lines, *words).stdout
+        output = done("label", lines, *words).stdout
         found = json.loads((tmp_path / "x" / "scores.json").read_text())
         assert found["model"]["accuracy"] == accuracy
-        assert f"accuracy {accuracy:.4f}" in said
+        assert f"accuracy {accuracy:.4f}" in output
 
 
 @pytest.mark.parametrize(
-    ("given", "words", "said"),
+    ("given", "words", "message"),
     [
         ("lines.csv", "", "--n-lanes: is missing: give the number of lanes"),
         ("no.csv", "--n-lanes 3", "no.csv: no such file"),
@@ -75,11 +75,11 @@ def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) ->
     ],
 )
 def test_what_cannot_be_labelled_is_refused_in_a_line(
-    lines: Path, tmp_path: Path, given: str, words: str, said: str
+    lines: Path, tmp_path: Path, given: str, words: str, message: str
 ) -> None:
     folder = lines.parent
     (folder / "odd.csv").write_text("these are no lines\n")
     (folder / "some.txt").write_text("1;5;0\n")
     out = ("--out", tmp_path / "x")
-    assert said in refused("label", folder / given, *words.format(folder).split(), *out)
+    assert message in refused("label", folder / given, *words.format(folder).split(), *out)
     assert not (tmp_path / "x").exists()

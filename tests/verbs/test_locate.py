@@ -38,9 +38,9 @@ NAMED = ("--columns", "t_s=when,latitude=lat_gps")
 @pytest.mark.parametrize("more", [(), ("--online",)])
 def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, ...]) -> None:
     a_map, drive, out = files
-    said = done("locate", a_map, drive, "-o", out, *NAMED, "--shift", "100", *more).output
-    assert "200 rows, 100 to 299 s, 100.0% on the map" in said
-    assert "lanes: 2, 3" in said
+    output = done("locate", a_map, drive, "-o", out, *NAMED, "--shift", "100", *more).output
+    assert "200 rows, 100 to 299 s, 100.0% on the map" in output
+    assert "lanes: 2, 3" in output
     table = road_table.load(out)
     assert set(table.n_lanes) == {2, 3}
 
@@ -51,7 +51,7 @@ def test_an_assumed_number_of_lanes_is_reported(files: tuple[str, str, str]) -> 
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({2: "road.csv"}, "a road table is a .parquet file"),
         ({0: "drive.csv"}, "cannot be read as a map"),
@@ -60,9 +60,9 @@ def test_an_assumed_number_of_lanes_is_reported(files: tuple[str, str, str]) -> 
     ],
 )
 def test_bad_files_are_refused_in_one_line(
-    files: tuple[str, str, str], change: dict[int, str], said: str
+    files: tuple[str, str, str], change: dict[int, str], message: str
 ) -> None:
     folder = Path(files[0]).parent
     words = [str(folder / change[k]) if k in change else file for k, file in enumerate(files)]
     named = NAMED if 1 not in change else ()
-    assert said in refused("locate", words[0], words[1], "-o", words[2], *named)
+    assert message in refused("locate", words[0], words[1], "-o", words[2], *named)

@@ -22,7 +22,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("rn", "No command 'rn' (did you mean 'run'?)."),
         ("run", "Missing argument 'EXPERIMENT|LINES'."),
@@ -41,11 +41,11 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
     ],
 )
 def test_a_command_line_that_makes_no_sense_is_one_line(
-    words: str, said: str, tmp_path: Path
+    words: str, message: str, tmp_path: Path
 ) -> None:
     write_drive(tmp_path)
     before = sorted(Path.cwd().iterdir())
-    assert said in refused(*words.format(tmp_path).split())
+    assert message in refused(*words.format(tmp_path).split())
     assert sorted(Path.cwd().iterdir()) == before
 
 
@@ -60,11 +60,11 @@ def test_ctrl_c_keeps_the_rows_that_are_done(tmp_path: Path) -> None:
             time.sleep(0.02)
         begun = time.monotonic()
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate()
+        _, output = process.communicate()
     assert time.monotonic() - begun < 30
     assert process.returncode == 130
-    assert "Traceback" not in said
-    [line] = [line for line in said.splitlines() if line.startswith("egolane: ")]
+    assert "Traceback" not in output
+    [line] = [line for line in output.splitlines() if line.startswith("egolane: ")]
     assert line.startswith("egolane: interrupted; finished runs and trials are kept")
 
 

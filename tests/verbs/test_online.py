@@ -45,7 +45,7 @@ def test_other_names_of_fields_are_an_option(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "sent", "said"),
+    ("words", "sent", "message"),
     [
         ("", "{", "message 1: is not JSON"),
         ("", '{"frame_id": 1}', "message 1: lines: is missing"),
@@ -58,7 +58,7 @@ def test_other_names_of_fields_are_an_option(tmp_path: Path) -> None:
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(
-    tmp_path: Path, words: str, sent: str, said: str
+    tmp_path: Path, words: str, sent: str, message: str
 ) -> None:
     path = write_drive(tmp_path, N_FRAMES)
-    assert said in refused("online", path, *words.split(), given=sent)
+    assert message in refused("online", path, *words.split(), given=sent)

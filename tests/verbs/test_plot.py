@@ -57,7 +57,7 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("{0}/gone --out {1}/page.html", "gone: is not a result directory"),
         ("{1} --out {1}/page.html", "{1}: is not a result directory"),
@@ -75,7 +75,7 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_one_line(
-    saved: Path, tmp_path: Path, words: str, said: str
+    saved: Path, tmp_path: Path, words: str, message: str
 ) -> None:
     shutil.copytree(saved, tmp_path / "half")
     (tmp_path / "half" / "beliefs.parquet").unlink()
@@ -84,5 +84,5 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(
     (tmp_path / "linked" / "figures").symlink_to(tmp_path / "study")
     (tmp_path / "study" / "study.json").write_text("{}")
     places = (saved, tmp_path)
-    assert said.format(*places) in refused("plot", *words.format(*places).split())
+    assert message.format(*places) in refused("plot", *words.format(*places).split())
     assert not list(tmp_path.glob("*.*"))

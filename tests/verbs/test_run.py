@@ -36,10 +36,10 @@ def kept(folder: Path, recording: Path, **changes: Any) -> tuple[list[str], Resu
     )
     out = folder / f"out_{recording.stem}"
     ran = done("run", experiment, "--no-figures", "--out", out)
-    said = [line.removeprefix("warning: ") for line in ran.stderr.splitlines()]
+    output = [line.removeprefix("warning: ") for line in ran.stderr.splitlines()]
     found = load_result(out)
-    assert found.notes == said
-    return said, found
+    assert found.notes == output
+    return output, found
 
 
 # --- what is written and printed -----------------------------------------------------------------
@@ -48,14 +48,14 @@ def kept(folder: Path, recording: Path, **changes: Any) -> tuple[list[str], Resu
 def test_run_writes_its_numbers_unrounded_and_prints_the_scores(
     drive: Path, tmp_path: Path
 ) -> None:
-    said = run_json(drive, tmp_path)
+    output = run_json(drive, tmp_path)
     right = run(drive)
-    assert said["scores"] == json.loads(json.dumps(right.scores))
+    assert output["scores"] == json.loads(json.dumps(right.scores))
     provenance = {"seconds", "created"}
     for key in right.run.keys() - provenance:
-        assert said["run"][key] == json.loads(json.dumps(right.run[key])), key  # type: ignore[index]
+        assert output["run"][key] == json.loads(json.dumps(right.run[key])), key  # type: ignore[index]
     out = tmp_path / "out"
-    assert json.loads((out / "scores.json").read_text()) == said["scores"]
+    assert json.loads((out / "scores.json").read_text()) == output["scores"]
     ran = done("run", drive, "--no-figures", "--out", out)
     share = f"right in {100 * right.scores['model']['accuracy']:.1f} % of"
     assert ran.stdout.startswith(f"drive: {share}")
@@ -170,7 +170,7 @@ def half_a_bag(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "name", "words", "said"),
+    ("make", "name", "words", "message"),
     [
         (half_a_bag, "a.bag", "", "a.bag: cannot be read as a bag ("),
         (bag(1), "gone.bag", "", "recording.path: {folder}/gone.bag: no such file"),
@@ -197,12 +197,12 @@ def half_a_bag(folder: Path) -> None:
     ],
 )
 def test_what_does_not_fit_is_refused_and_nothing_is_written(
-    tmp_path: Path, make: Callable[[Path], object], name: str, words: str, said: str
+    tmp_path: Path, make: Callable[[Path], object], name: str, words: str, message: str
 ) -> None:
     make(tmp_path)
     experiment = write_experiment(tmp_path / "e.yaml", recording__path=name)
     line = refused("run", experiment, "--no-figures", "--out", tmp_path / "x", *words.split())
-    assert said.format(folder=tmp_path) in line
+    assert message.format(folder=tmp_path) in line
     assert not (tmp_path / "x").exists()
 
 
@@ -221,7 +221,7 @@ def test_the_result_of_another_drive_is_not_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "message"),
     [
         ("n_lane=3", "unknown key 'n_lane' (did you mean 'n_lanes'?)"),
         ("recording.topc=x", "recording: unknown key 'topc' (did you mean 'topic'?)"),
@@ -231,18 +231,18 @@ def test_the_result_of_another_drive_is_not_replaced(tmp_path: Path) -> None:
     ],
 )
 def test_a_key_that_does_not_fit_is_refused_by_dry_run_and_by_run(
-    tmp_path: Path, override: str, said: str
+    tmp_path: Path, override: str, message: str
 ) -> None:
     experiment = write_drive(tmp_path, 20)
     by_dry_run = refused("run", "--dry-run", experiment, "--set", override)
     assert refused("run", experiment, "--set", override, "--out", tmp_path / "x") == by_dry_run
     assert by_dry_run.startswith(f"{experiment}: ")
-    assert said in by_dry_run
+    assert message in by_dry_run
     # The same written in the file.
     key, _, value = override.partition("=")
     changes = {key.replace(".", "__"): yaml.safe_load(value)}
     rewritten(experiment, experiment, **changes)
-    assert said in refused("run", "--dry-run", experiment)
+    assert message in refused("run", "--dry-run", experiment)
 
 
 @pytest.mark.parametrize("what", ["--out", "--json"])
@@ -257,8 +257,8 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
     if what == "--json":
         words = (*words, "--out", tmp_path / "out")
         assert refused(*words, what, experiment) == f"{experiment}: is read here; name another file"
-    said = f"cannot be written, {experiment} is not a writable directory"
-    assert said in refused(*words, what, below_a_file)
+    output = f"cannot be written, {experiment} is not a writable directory"
+    assert output in refused(*words, what, below_a_file)
     assert contents(tmp_path) == before
 
 
@@ -267,9 +267,9 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
 
 def test_a_recording_without_a_valid_line_has_a_warning(tmp_path: Path) -> None:
     line_bag(tmp_path / "a.bag", list(range(1, 9)), [[(False, True, 5, -1.0)]] * 8)
-    said, found = kept(tmp_path, tmp_path / "a.bag")
-    assert len(said) == 1
-    assert "not a single valid line in 8 frames" in said[0]
+    output, found = kept(tmp_path, tmp_path / "a.bag")
+    assert len(output) == 1
+    assert "not a single valid line in 8 frames" in output[0]
     assert (found.frames["detector_lane"] == 0).all()
 
 
@@ -280,9 +280,9 @@ def test_frames_of_zero_joint_likelihood_have_a_warning(tmp_path: Path) -> None:
     right: list[Line] = [(True, True, 10, 1.0)]
     line_bag(tmp_path / "a.bag", [1, 2, 3], [left, right, left])
     certain = {"sigma1": 1e-9, "sigma2": 1e-9, "tentative_noise": 0}
-    said, found = kept(tmp_path, tmp_path / "a.bag", graph="lane_only", parameters=certain)
-    assert len(said) == 1
-    assert "the evidence of 1 frame(s) has joint likelihood zero" in said[0]
+    output, found = kept(tmp_path, tmp_path / "a.bag", graph="lane_only", parameters=certain)
+    assert len(output) == 1
+    assert "the evidence of 1 frame(s) has joint likelihood zero" in output[0]
     assert found.frames["is_impossible"].to_list() == [False, True, False]
     assert found.scores["impossible_frames"] == 1
 
@@ -290,7 +290,7 @@ def test_frames_of_zero_joint_likelihood_have_a_warning(tmp_path: Path) -> None:
 def test_one_lane_is_allowed(tmp_path: Path) -> None:
     line_bag(tmp_path / "a.bag", [1, 2], [[(True, True, 8, -1.7)], [(True, False, 8, 1.7)]])
     for graph in ("sensor_failure", "wor_on_lane", "no_wor", "lane_only"):
-        said, found = kept(tmp_path, tmp_path / "a.bag", n_lanes=1, graph=graph)
-        assert said == []
+        output, found = kept(tmp_path, tmp_path / "a.bag", n_lanes=1, graph=graph)
+        assert output == []
         np.testing.assert_array_equal(found.node("Lane"), [[1.0], [1.0]])
         assert found.frames["assigned_lane"].to_list() == [1, 1]

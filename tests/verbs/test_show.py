@@ -78,7 +78,7 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("sensor_failur", "(did you mean 'sensor_failure'?)"),
         ("zzz", "(known: aly, autoregressive, "),
@@ -94,11 +94,13 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("ml --out {0}/g.png", "only a graph"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path, words: str, said: str) -> None:
+def test_what_cannot_be_shown_is_refused_in_a_line(
+    tmp_path: Path, words: str, message: str
+) -> None:
     (tmp_path / "both.py").write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
     (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
     (tmp_path / "own.bif").touch()
-    assert said.format(tmp_path) in refused("show", *words.format(tmp_path).split())
+    assert message.format(tmp_path) in refused("show", *words.format(tmp_path).split())
 
 
 @pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1"])

@@ -22,8 +22,8 @@ from tests.kits.drives import contents, done, refused
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pictures")
     words = ("a4", "--images", "--frames", 240, "--set", "seed=4", "--out", folder)
-    said = done("simulate", *words, "--set", "min_stay_s=2").output
-    assert "240 frames; try: egolane detect" in said
+    output = done("simulate", *words, "--set", "min_stay_s=2").output
+    assert "240 frames; try: egolane detect" in output
     return folder
 
 
@@ -60,7 +60,7 @@ def test_from_simulated_pictures_through_a_detector_to_a_belief(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("a5", "--images"), "unknown preset 'a5'"),
         (("a4", "--images", "--set", "chnge_s=1"), "did you mean 'change_s'"),
@@ -70,16 +70,16 @@ def test_from_simulated_pictures_through_a_detector_to_a_belief(
     ],
 )
 def test_bad_options_are_refused_in_one_line(
-    tmp_path: Path, words: tuple[str, ...], said: str
+    tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:
-    assert said in refused("simulate", *words, "--out", tmp_path / "out")
+    assert message in refused("simulate", *words, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_pictures_of_two_drives_are_not_mixed(drive: Path) -> None:
     before = sorted(path.stat().st_mtime_ns for path in drive.rglob("*"))
-    said = refused("simulate", "a2", "--images", "--frames", 2, "--out", drive)
-    assert said == f"{drive}/images: is not empty; name another folder"
+    output = refused("simulate", "a2", "--images", "--frames", 2, "--out", drive)
+    assert output == f"{drive}/images: is not empty; name another folder"
     assert sorted(path.stat().st_mtime_ns for path in drive.rglob("*")) == before
 
 

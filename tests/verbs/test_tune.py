@@ -117,7 +117,7 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ("--set fit.objective=acuracy", "fit.objective: unknown score 'acuracy' (did you mean"),
         ("-p sigma1", "--parameter: sigma1: write it as key=value, e.g. n_lanes=3"),
@@ -142,16 +142,16 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_searched_is_one_line_and_leaves_nothing(
-    tmp_path: Path, words: str, said: str
+    tmp_path: Path, words: str, message: str
 ) -> None:
     line = refused("tune", QUICKSTART, "--out", tmp_path / "o", *words.split())
-    assert said in line
+    assert message in line
     assert "secret" not in line
     assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("experiments: [x.yaml]\nfit: {trails: 3}\n", "unknown key 'trails' (did you mean"),
         ("experiments: [x.yaml]\nfitt: {}\n", "unknown key 'fitt' (did you mean 'fit'?)"),
@@ -159,11 +159,11 @@ def test_what_cannot_be_searched_is_one_line_and_leaves_nothing(
     ],
 )
 def test_a_list_of_experiments_that_does_not_fit_is_refused(
-    tmp_path: Path, text: str, said: str
+    tmp_path: Path, text: str, message: str
 ) -> None:
     path = tmp_path / "g.yaml"
     path.write_text(f"name: g\n{text}")
-    assert said in refused("tune", path)
+    assert message in refused("tune", path)
 
 
 def states(journal: Path) -> Counter[str]:
@@ -185,13 +185,13 @@ def test_a_search_that_is_stopped_keeps_its_trials_and_goes_on(jobs: int, tmp_pa
             time.sleep(0.01)
         begun = time.monotonic()
         first.send_signal(signal.SIGINT)
-        _, said = first.communicate()
+        _, output = first.communicate()
     assert time.monotonic() - begun < 30
     assert first.returncode == 130
-    assert [line[:20] for line in said.splitlines() if line.startswith("egolane: ")] == [
+    assert [line[:20] for line in output.splitlines() if line.startswith("egolane: ")] == [
         "egolane: interrupted"
     ]
-    assert "Traceback" not in said
+    assert "Traceback" not in output
     assert states(journal)["COMPLETE"] > 10
 
 
@@ -255,7 +255,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("keys", "words", "said"),
+    ("keys", "words", "message"),
     [
         (
             {"graph": "lane_only", "evidence": "never.py"},
@@ -267,7 +267,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Pa
     ],
 )
 def test_what_cannot_be_learned_is_one_line(
-    tmp_path: Path, keys: dict[str, Any], words: str, said: str
+    tmp_path: Path, keys: dict[str, Any], words: str, message: str
 ) -> None:
     path = write_drive(tmp_path, **keys)
     (tmp_path / "never.py").write_text(
@@ -275,5 +275,5 @@ def test_what_cannot_be_learned_is_one_line(
         "def evidence(log, n_lanes, parameters):\n"
         "    return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})\n"
     )
-    assert said in refused("learn", path, "--out", tmp_path / "o", *words.split())
+    assert message in refused("learn", path, "--out", tmp_path / "o", *words.split())
     assert not (tmp_path / "o").exists()

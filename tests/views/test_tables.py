@@ -19,22 +19,22 @@ FRAME = pd.DataFrame(
 
 
 def test_a_column_with_bounds_is_one_cell_and_csv_keeps_the_three() -> None:
-    found = table(FRAME.assign(delay=[-0.01, 2.0], told="x"), {"delay": "+.1f"})
+    found = table(FRAME.assign(delay=[-0.01, 2.0], note="x"), {"delay": "+.1f"})
     assert page([found]).splitlines() == [
-        "| run |                  f 1 | delay | told |",
+        "| run |                  f 1 | delay | note |",
         "| --- | -------------------: | ----: | ---: |",
         "| 1   | 0.500 [0.250, 0.750] |  +0.0 |    x |",
         "| two |                    - |  +2.0 |    x |",
     ]
     assert page([found, found], "csv").splitlines() == [
-        "run,f_1,f_1_low,f_1_high,delay,told",
+        "run,f_1,f_1_low,f_1_high,delay,note",
         "1,0.5,0.25,0.75,-0.01,x",
         "two,,,,2.0,x",
     ]
     assert page(["text", found], "latex").splitlines()[:4] == [
         r"\begin{tabular}{lrrr}",
         r"\toprule",
-        r"run & f 1 & delay & told \\",
+        r"run & f 1 & delay & note \\",
         r"\midrule",
     ]
 
