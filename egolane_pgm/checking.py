@@ -101,7 +101,7 @@ def check(
     - statistics: by name, functions of `Draws`; by default `usual_statistics`.
     - n: number of posterior paths, and of drives drawn from the model.
 
-    Returns a row per statistic: `truth` (NaN without it), median and 90 % interval of the posterior
+    Returns a row per statistic: `truth` (NaN if unknown), median and 90 % interval of the posterior
     (`posterior`, `posterior_low`, `posterior_high`) and of the model (`model`, ...), and
     `probability`: how often a drive of the model is at least as far out as the median of the
     posterior, on its side, times two (at most 1). The parameters may have been found on the same
@@ -113,7 +113,9 @@ def check(
     ['lane changes per hour', 'SensorState BAD share', 'SensorState BAD mean run, s']
     """
     result = single_drive(result)
-    compiled, rate, evidence = result.model.compiled, result.frame_rate, result.evidence
+    compiled = result.model.compiled
+    rate = result.frame_rate
+    evidence = result.evidence
     posterior = Draws(drawn_paths(compiled, evidence, n, seed), rate)
     states = sampled_states(
         compiled, len(evidence), n, np.random.default_rng(seed), evidence.inputs
@@ -123,7 +125,8 @@ def check(
     rows = {}
     for name, statistic in (statistics or usual_statistics(result)).items():
         try:
-            seen, drawn = statistic(posterior), statistic(model)
+            seen = statistic(posterior)
+            drawn = statistic(model)
         except KeyError as error:
             nodes = ", ".join(compiled.hidden)
             raise InputError(f"check: {name}: no node {error}; there are {nodes}") from None
@@ -148,7 +151,7 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     """Compare predictions with what comes, for each observed node, one frame ahead.
 
     A prediction is made for each frame and value, before the frame's evidence; the value comes
-    where the evidence makes it the most probable one. Frames in which it has no such value are left
+    if the evidence makes it the most probable value. Frames in which it has no such value are left
     out.
 
     Returns a row per node and bin: `node`, `predicted` (mean probability), `comes` (share),
@@ -160,14 +163,16 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     ['DetectorOutput', 'WOR']
     """
     result = single_drive(result)
-    evidence, tables = result.evidence, []
+    evidence = result.evidence
+    tables = []
     for node, probability in predicted(result.model, evidence).items():
         if node not in evidence.likelihoods:
             continue
         likelihood = evidence.likelihoods[node]
         largest = likelihood == likelihood.max(axis=1, keepdims=True)
         clear: BoolArray = largest.sum(axis=1) == 1
-        values, comes = probability[clear].ravel(), largest[clear].ravel()
+        values = probability[clear].ravel()
+        comes = largest[clear].ravel()
         bins = np.clip((values * n_bins).astype(np.int64), 0, n_bins - 1)
         grouped = pd.DataFrame({"predicted": values, "comes": comes}).groupby(bins)
         tables.append(grouped.mean().assign(count=grouped.size(), node=node))
@@ -205,8 +210,10 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
     if not 0 < step <= 1:
         raise InputError(f"step: {step} is not a share of the search range (0 to 1)")
     result = single_drive(result)
-    model, start = result.model, _scores(result, result.model)
-    of_rule, rows = model.rule.parameters, {}
+    model = result.model
+    start = _scores(result, result.model)
+    of_rule = model.rule.parameters
+    rows = {}
     for spec in bar(declared_parameters(model.rule, model.graph), unit="parameter"):
         # A whole number may change the shape of the network.
         is_number = spec.kind != "integer" and not isinstance(model.parameters[spec.name], str)
@@ -230,14 +237,17 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
 def _moved(spec: Parameter, value: float, share: float) -> float:
     """Return a value moved by a share of its search range, not beyond the range and the value."""
     low, high = spec.search_range or (value, value)
+    width = high - low
     # A sigma is larger than 0.
-    low, width = max(low, 1e-6 * (high - low)), high - low
+    low = max(low, 1e-6 * width)
     return float(np.clip(value + share * width, min(low, value), max(high, value)))
 
 
 def _scores(result: Result, model: Model, moves_evidence: bool = False) -> dict[str, float]:
     """Return the MOVED scores of a result with another model; NaN if undefined."""
-    e, frames, evidence = result.experiment, result.frames, result.evidence
+    e = result.experiment
+    frames = result.frames
+    evidence = result.evidence
     if moves_evidence:
         with noting():  # The result has these warnings.
             evidence, _ = make_evidence(model, next(iter(result.lines.values())))
@@ -245,7 +255,8 @@ def _scores(result: Result, model: Model, moves_evidence: bool = False) -> dict[
     beliefs = filter_beliefs(model.compiled, evidence, method)
     is_comparable = not moves_evidence and not beliefs.is_impossible.any()
     known = (frames["true_lane"].notna() & frames.get("is_trusted", True)).to_numpy(bool)
-    truth, lane = frames[known], beliefs.lane[known]
+    truth = frames[known]
+    lane = beliefs.lane[known]
     assigned = assigned_lane(lane, e.min_confidence)
     is_crossing = truth["is_crossing"].to_numpy(bool)
     answers = Answers(lane, truth["true_lane"].to_numpy(int), is_crossing, assigned)

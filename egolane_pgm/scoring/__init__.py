@@ -47,7 +47,8 @@ def score_all(
     block-bootstrap intervals, None for a short drive}.
     """
     values = np.asarray(belief)
-    lane, is_crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
+    lane = truth["true_lane"].to_numpy()
+    is_crossing = truth["is_crossing"].to_numpy()
     given = assigned_lane(values) if assigned is None else np.asarray(assigned)
     answers = Answers(values, lane, is_crossing, given)
     intervals = score_intervals([{name: SCORES[name].summands(answers) for name in INTERVALS}])

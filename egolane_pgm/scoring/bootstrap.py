@@ -62,7 +62,8 @@ def resampled_sums(
     Costs one look-up per block, not per frame: the sum over each possible block comes from
     cumulative sums. Counts (integers, booleans) are summed exactly.
     """
-    n_frames, n_blocks = len(values), starts.shape[1]
+    n_frames = len(values)
+    n_blocks = starts.shape[1]
     kinds = {"b": np.int32, "i": np.int64, "u": np.int64}
     flat = values.reshape(n_frames, -1).astype(kinds.get(values.dtype.kind, np.float64), copy=False)
     wrapped = np.concatenate([np.zeros_like(flat[:1]), flat, flat[:block]])
@@ -96,12 +97,13 @@ def bootstrap_interval(
     - seeds: one per recording; recordings of the same length with the same seed are resampled
       together. By default 0, 1, 2, ...
 
-    Resamples with an undefined statistic (NaN) are left out; without any other the bounds are NaN.
+    Resamples with an undefined statistic (NaN) are left out; if all are, the bounds are NaN.
     They are None if a recording is shorter than two blocks: its resamples would be nearly the same.
     Raises InputError if the two sides have different numbers of frames.
     """
     is_short = any(len(mine) < 2 * block for mine in counts)
-    estimates, of_resamples = [], []
+    estimates = []
+    of_resamples = []
     for k, mine in enumerate(counts):
         sides = [mine] if minus is None else [mine, minus[k]]
         if len(sides[-1]) != len(mine):

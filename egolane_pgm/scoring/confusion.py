@@ -4,11 +4,12 @@ Rows of a confusion matrix are the predicted lane 1..n, then Unassigned; columns
 1..n. Crossing frames are left out.
 
 Zero divided by zero is 0, so every score is a number. A lane that is never driven or never
-predicted scores 0 and pulls the mean down. Without any scored frame all scores are 0: check the
+predicted scores 0 and pulls the mean down. If no frame is scored, all scores are 0: check the
 number of scored frames.
 
 Unassigned frames count as wrong: they are in the support, and so in recall and accuracy, but in no
-lane's precision. Scores of the posterior are NaN without frames (None in JSON): 0 would be perfect.
+lane's precision. If no frame is scored, scores of the posterior are NaN (None in JSON): 0 would be
+perfect.
 """
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ def confusion_cell(
     - lane (T,): 1..n; ignored in crossing frames.
     - is_crossing (T,): marks crossing frames.
     """
-    predicted, actual = np.asarray(assigned), np.asarray(lane)
+    predicted = np.asarray(assigned)
+    actual = np.asarray(lane)
     row = np.where(predicted == UNASSIGNED, n_lanes, predicted - 1)
     return np.where(np.asarray(is_crossing), -1, row * n_lanes + actual - 1)
 
@@ -98,7 +100,8 @@ def scores_from_confusion(matrix: ArrayLike) -> dict[str, Any]:
     """
     m = np.asarray(matrix)
     right = np.diagonal(m[..., :-1, :], axis1=-2, axis2=-1)
-    predicted, actual = m[..., :-1, :].sum(axis=-1), m.sum(axis=-2)
+    predicted = m[..., :-1, :].sum(axis=-1)
+    actual = m.sum(axis=-2)
     total = m.sum(axis=(-2, -1))
     per_lane = {
         "precision": _ratio(right, predicted),
@@ -128,7 +131,8 @@ def frames_off(a: ArrayLike, b: ArrayLike) -> int:
     that moves from one cell to another changes two cells, one that is missing changes one. Raises
     InputError if the shapes differ.
     """
-    first, second = np.asarray(a), np.asarray(b)
+    first = np.asarray(a)
+    second = np.asarray(b)
     if first.shape != second.shape:
         raise InputError(
             f"confusion matrices of shapes {first.shape} and {second.shape} cannot be compared;"

@@ -2,7 +2,7 @@
 
 A true **lane change** is a pair of successive non-crossing rows with different lanes: with crossing
 rows between them (their labels are ignored), or without (a change that was not flagged). A crossing
-that ends in the lane it began in was aborted and is no lane change; nor is a crossing at the
+that ends in the lane it began in was aborted and does not count, nor does a crossing at the
 beginning or the end of a drive, whose other side is unknown. A change lasts from `begin`, its first
 crossing frame, to `end`, the first frame in the new lane. Annotators change the label at different
 places within it (at the end in the Italian recordings, after two thirds in the Spanish ones).
@@ -58,9 +58,11 @@ def lane_changes(truth: pd.DataFrame) -> pd.DataFrame:
     """
     actual = truth["true_lane"].to_numpy()
     scored = np.flatnonzero(~truth["is_crossing"].to_numpy())
-    before, after = scored[:-1], scored[1:]
+    before = scored[:-1]
+    after = scored[1:]
     is_change = actual[before] != actual[after]
-    before, after = before[is_change], after[is_change]
+    before = before[is_change]
+    after = after[is_change]
     start = before + 1
     until = np.append(start[1:], scored[-1] + 1) if len(start) else start
     lanes = {"from_lane": actual[before], "to_lane": actual[after]}
@@ -120,7 +122,8 @@ def answer_delays(assigned: ArrayLike, truth: pd.DataFrame, changes: pd.DataFram
 
     - changes: C true ones, see `lane_changes`.
     """
-    predicted, ids = np.asarray(assigned), truth.index.to_numpy()
+    predicted = np.asarray(assigned)
+    ids = truth.index.to_numpy()
     delay = np.full(len(changes), np.nan)
     for c, change in enumerate(changes.itertuples()):
         is_right = predicted[change.start : change.until] == change.to_lane
@@ -154,7 +157,8 @@ def match_events(
     - frame_rate: frames per second.
     """
     changes = lane_changes(truth)
-    from_lane, to_lane = changes["from_lane"].to_numpy(), changes["to_lane"].to_numpy()
+    from_lane = changes["from_lane"].to_numpy()
+    to_lane = changes["to_lane"].to_numpy()
     reach = tolerance_s * frame_rate
     first = truth.index.to_numpy()[changes["start"]] - reach
     last = truth.index.to_numpy()[changes["end"]] + reach
@@ -162,12 +166,14 @@ def match_events(
     is_open = np.ones(len(changes), dtype=bool)
     # Events in order, each taking the open change that closes first: no matching has more pairs
     # (Glover 1967, points and intervals).
-    left_lane, entered_lane = events["from_lane"].to_numpy(), events["to_lane"].to_numpy()
+    left_lane = events["from_lane"].to_numpy()
+    entered_lane = events["to_lane"].to_numpy()
     direction = events["direction"].to_numpy()
     for e, at in enumerate(events["detected_frame_id"].to_numpy()):
         # The changes are in order, so those within reach are neighbours.
         near = slice(*np.searchsorted(last, [at]), *np.searchsorted(first, [at], side="right"))
-        left, entered = from_lane[near], to_lane[near]
+        left = from_lane[near]
+        entered = to_lane[near]
         if left_lane[e] == UNASSIGNED:
             is_right = np.sign(entered - left) == direction[e]
         else:
@@ -216,7 +222,8 @@ def score_events(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any
     hours = sum(len(truth) for _, truth in drives) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
     for tolerance in TOLERANCES_S:
-        right, false = 0, 0
+        right = 0
+        false = 0
         for events, truth in drives:
             is_right = match_events(events, truth, frame_rate, tolerance) >= 0
             right += int(is_right.sum())
@@ -244,6 +251,6 @@ def _ratio(count: float, of: float) -> float | None:
 
 
 def _percentile(values: FloatArray, share: float) -> float | None:
-    """A percentile of the values that are not NaN; None without any."""
+    """A percentile of the values that are not NaN; None if all are."""
     known = values[~np.isnan(values)]
     return float(np.percentile(known, share)) if known.size else None

@@ -94,7 +94,7 @@ def mean(sums: NDArray[Any]) -> FloatArray:
 def _averaged(values: ArrayLike, is_counted: BoolArray | bool) -> FloatArray:
     """(T, 2): the value of each frame and 1; zeros in frames that do not count."""
     value, counted = np.broadcast_arrays(values, is_counted)
-    # Contiguous columns: their sums are rounded as those of `np.mean`.
+    # Contiguous columns: their sums are rounded as in `np.mean`.
     return np.array([np.where(counted, value, 0.0), counted]).T
 
 

@@ -151,18 +151,24 @@ def make_problem(
     if len({drive.model.n_lanes for drive in drives}) > 1:
         raise InputError("explore: the drives differ in n_lanes; explore them apart")
     if judge != "bic" and not folds:
-        raise InputError(f"judge: {judge} needs held-out frames (folds); without them take bic")
+        raise InputError(
+            f"judge: {judge} needs held-out frames (folds); if there are none, take bic"
+        )
     is_scored = [(drive.true_lane[~drive.is_crossing] > 0).any() for drive in drives]
     if judge not in _OF_LINES and not all(is_scored):
-        raise InputError(f"judge: {judge} needs ground truth; without it take log_evidence or bic")
+        raise InputError(
+            f"judge: {judge} needs ground truth; if there is none, take log_evidence or bic"
+        )
     learnable_nodes(model)
     start = start_of_learning(model).compiled
-    tables, hidden = list(start.tables.values()), list(start.hidden)
+    tables = list(start.tables.values())
+    hidden = list(start.hidden)
     for text in nodes:
         name, _, size = map(str.strip, text.partition("="))
         if not name or name in {*start.cardinality, *hidden} or size not in map(str, range(2, 100)):
             raise InputError(f"node: '{text}' is not NEW_NAME=SIZE, e.g. Occlusion=2")
-        tables, hidden = with_node(tables, name, int(size)), [*hidden, name]
+        tables = with_node(tables, name, int(size))
+        hidden = [*hidden, name]
     evidence = tuple(make_evidence(drive.model, drive.log)[0] for drive in drives)
     experiments = [drive.experiment for drive in drives]
     keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
@@ -385,7 +391,9 @@ def explore(
         else:
             chosen.append(_greedy(tried, list(alone)))
         several.append(tried)
-    first, best, there = several[0], chosen[0], edges_of(problem.tables)
+    first = several[0]
+    best = chosen[0]
+    there = edges_of(problem.tables)
     gains = {edge: first.gain(structure) for edge, structure in alone.items()}
     rows: list[dict[str, Any]] = []
     for edge, gain in gains.items():

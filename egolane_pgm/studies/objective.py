@@ -95,7 +95,8 @@ def drive_answers(
     - beliefs: of these frames.
     - is_used, n_lanes: see `Answers`.
     """
-    rows, e = drive.rows, drive.experiment
+    rows = drive.rows
+    e = drive.experiment
     return Answers(
         beliefs.lane,
         drive.true_lane[rows],

@@ -87,12 +87,14 @@ def make_profile(
     folder = None if directory is None else directory / "profiled"
     identity = drives_digest(drives, [np.arange(len(drive)) for drive in drives])
     work = partial(search_at, list(drives), tuning, score, pooled)
-    rows, points = [], []
+    rows = []
+    points = []
     for name in names:
         key = next(key for key in tried if key.partition("[")[0] == name)
         # The best value of the study belongs to the profile.
         values = np.unique([*values_of(space, name), tried[key].iloc[0]])
-        starts, top = [], tried.iloc[0].to_dict()
+        starts = []
+        top = tried.iloc[0].to_dict()
         for value in values:
             away = (tried[key] - value).abs().argsort().to_numpy()
             close = np.sort(away[: max(5, len(tried) // 20)])[:3]
@@ -167,5 +169,6 @@ def search_at(
                 tried[key] = from_unit(d, min(max(unit, 0.0), 1.0))
         found = sign * scored(tried)[0]
         if found >= reached:
-            best, reached = tried, found
+            best = tried
+            reached = found
     return best

@@ -61,14 +61,17 @@ def calibrate(
 
     pictures = picture_files(stills)
     size = size_of(read_image(pictures[0]))
-    camera, comment = assumed_camera(*size), [ASSUMED_LENS]
+    camera = assumed_camera(*size)
+    comment = [ASSUMED_LENS]
     if chessboards and Path(chessboards).suffix.lower() in (".yaml", ".yml", ".xml"):
-        camera, comment = read_camera(chessboards, height_m=1.0), [f"Lens: from {chessboards}."]
+        camera = read_camera(chessboards, height_m=1.0)
+        comment = [f"Lens: from {chessboards}."]
     elif chessboards:
         lens = calibrate_lens(picture_files(chessboards), *board)
         for line in lens.skipped:
             warnings.warn(f"skipped: {line}", UserWarning, stacklevel=2)
-        camera, comment = lens.camera, [describe_lens(lens, "x".join(map(str, board)))]
+        camera = lens.camera
+        comment = [describe_lens(lens, "x".join(map(str, board)))]
     if (camera.width, camera.height) != size:
         raise InputError(
             f"the chessboards are {camera.width}x{camera.height}, the road's pictures"

@@ -12,7 +12,7 @@ EXAMPLES = ("egolane data list", "egolane data fetch")
 
 
 def data(action: Literal["list", "fetch"]) -> str:
-    """List the paper's recordings, or download what is missing.
+    """List the paper's recordings, or download the missing ones.
 
     `list` prints the search folders and the state of each file. `fetch` checks every sha256, keeps
     good files, and downloads the others to the last of these folders (`$XDG_CACHE_HOME`).
@@ -26,7 +26,8 @@ def data(action: Literal["list", "fetch"]) -> str:
             for file in catalog.list_files()
         ]
         return "\n".join([*folders, *files])
-    problems, n_files = catalog.fetch(), len(catalog.list_files())
+    problems = catalog.fetch()
+    n_files = len(catalog.list_files())
     n_good = f"{n_files - len(problems)} of {n_files} files are there and good"
     if problems:
         for line in problems:

@@ -69,7 +69,8 @@ def explore(
     """
     name, inputs = open_studied(experiments, overrides, graph, ground_truth, n_lanes)
     drives = [drive for each in inputs for drive in each.drives()]
-    fit, place = inputs[0].experiment.fit, place_of(out, name)
+    fit = inputs[0].experiment.fit
+    place = place_of(out, name)
     folds = block_folds(drives, fit.folds)
     problem = make_problem(drives, folds, judge=judge, nodes=node, seed=fit.seed)
     found = search(

@@ -116,7 +116,8 @@ def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
                 f"check: {plugin} is a program, which plot does not execute; if you trust it, in"
                 f" Python: ego.check(ego.load_result('{result.directory}'))"
             )
-    found, title = (check_model(result), prediction_calibration(result)), title_of(result)
+    found = (check_model(result), prediction_calibration(result))
+    title = title_of(result)
     print(check_text(result, *found), end="\n\n")
     makes: dict[str, Callable[[], Figure]] = {"check": partial(check_figure, *found, title)}
     numbers = sensitivity(result)

@@ -32,5 +32,6 @@ def summary(done: Result | pd.DataFrame, given: Mapping[str, Any]) -> str:
     if isinstance(done, Result):
         picture = Path(str(done.directory)) / "figures" / "strips.png"
         return f"result: {done.directory}" + f"; picture: {picture}" * picture.is_file()
-    good, there = int(done["error"].isna().sum()), int(done["was_there"].fillna(False).sum())
+    good = int(done["error"].isna().sum())
+    there = int(done["was_there"].fillna(False).sum())
     return f"results: {good} of {len(done)} in {given['out']}, {there} were there"

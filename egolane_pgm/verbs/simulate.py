@@ -53,13 +53,15 @@ def simulate(
         recording = {"path": "lines.parquet", "frame_rate": road.frame_rate}
         pictures = f"{folder / 'images'} --camera {folder / 'camera.yaml'}"
         run = f"egolane detect {pictures} --detector ml -o {folder / 'lines.parquet'} && {run}"
-        truth, n_lanes = road.truth, road.n_lanes
+        truth = road.truth
+        n_lanes = road.n_lanes
     else:
         drive = simulate_drive(preset, frames=frames, **values)
         make_directory(folder)
         write_table(folder / "lines.csv", drive.log)
         recording = {"path": "lines.csv"}
-        truth, n_lanes = drive.truth, drive.n_lanes
+        truth = drive.truth
+        n_lanes = drive.n_lanes
     write_ground_truth(folder / "ground_truth.txt", truth)
     experiment = {
         "name": f"simulated_{preset}_{values['seed']}",

@@ -113,7 +113,8 @@ def open_studied(
 
     - ground_truth: as for `open_input`, or a list with one for each experiment.
     """
-    given, name = several_of(experiments), None
+    given = several_of(experiments)
+    name = None
     if not given:
         raise InputError("experiments: name at least one")
     if len(given) == 1 and isinstance(given[0], (str, os.PathLike)) and not is_lines(given[0]):
@@ -121,7 +122,8 @@ def open_studied(
         content = load_yaml(path)
         if "experiments" in content:
             file = validated(TuningFile, content, str(path))
-            name, fit = file.name, file.fit.model_dump(exclude_unset=True)
+            name = file.name
+            fit = file.fit.model_dump(exclude_unset=True)
             given = [load_experiment(path.parent / each, {"fit": fit}) for each in file.experiments]
     truths = ground_truth if isinstance(ground_truth, list) else [ground_truth] * len(given)
     if len(truths) != len(given):

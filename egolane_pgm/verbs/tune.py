@@ -43,7 +43,7 @@ def tune(
     """Search parameters; score them on held-out frames.
 
     Several experiments share one parameter set and have equal weight; with a table all frames of
-    its rows have equal weight. Each fold is scored with the parameters of a search without it.
+    its rows have equal weight. Each fold is scored with the parameters of a search in the others.
     Studies are Optuna's, in study.journal of the directory or in a storage. A repeated command
     resumes them; the same command on other machines with the same storage joins in.
 

@@ -46,7 +46,7 @@ def check_text(result: Result, found: pd.DataFrame, calibration: pd.DataFrame) -
     digits = {name: _decimals(value) for name, value in shown.max(axis=1).items()}
     parts.append(table(shown.assign(p=found["probability"].map("{:.2f}".format)), digits))
     parts.append(
-        f"posterior: paths drawn given the evidence, model: drives drawn without it, with"
+        f"posterior: paths drawn given the evidence, model: drives drawn without evidence, with"
         f" {INTERVAL[1] - INTERVAL[0]:g} % intervals; p: probability of a drive of the model at"
         " least as far out as the posterior, on either side"
     )
@@ -54,7 +54,7 @@ def check_text(result: Result, found: pd.DataFrame, calibration: pd.DataFrame) -
         often = rows[rows["count"] >= 0.01 * rows["count"].sum()]
         worst = often.loc[(often["comes"] - often["predicted"]).abs().idxmax()]
         parts.append(
-            f"{node}, one frame ahead: what is predicted with {worst['predicted']:.2f} comes in"
+            f"{node}, one frame ahead: values predicted with {worst['predicted']:.2f} come in"
             f" {worst['comes']:.2f} of {worst['count']:,.0f} predictions (the largest gap)"
         )
     return page(parts)
@@ -78,7 +78,8 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
         ax = halves[0].add_subplot(grid[k, 0])
         shown = [source for source in _SOURCES if row[source] == row[source]]
         for y, source in enumerate(shown):
-            (colour, marker), value = _SOURCES[source], row[source]
+            (colour, marker) = _SOURCES[source]
+            value = row[source]
             ax.plot([value], [y], marker, color=colour, ms=6)
             if source != "truth":
                 ax.hlines(y, row[f"{source}_low"], row[f"{source}_high"], colour, lw=2)
@@ -91,11 +92,14 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
         ax.tick_params(axis="y", length=0)
         ax.spines[["top", "right", "left"]].set_visible(False)
         ax.grid(axis="y", visible=False)
-    ax, most = halves[1].subplots(), max([1, *calibration["count"]])
+    ax = halves[1].subplots()
+    most = max([1, *calibration["count"]])
     ax.plot([0, 1], [0, 1], color=FAINT, lw=1.2, zorder=1)
     nodes = calibration.groupby("node", sort=False)
     for (node, rows), (colour, marker) in zip(nodes, cycle(_SOURCES.values()), strict=False):
-        x, y, area = rows["predicted"], rows["comes"], 10 + 190 * rows["count"] / most
+        x = rows["predicted"]
+        y = rows["comes"]
+        area = 10 + 190 * rows["count"] / most
         ax.plot(x, y, color=colour, lw=0.7)
         ax.scatter(x, y, area, colour, marker=marker, alpha=0.75, lw=0, zorder=3)
         ax.plot([], [], marker, color=colour, ls="", label=node)

@@ -77,7 +77,8 @@ def comparison_figure(found: pd.DataFrame) -> Figure:
     figure = new_figure(7, 1.2 + 0.25 * (y[-1] + 1), "Accuracy, with 95 % intervals")
     ax = figure.subplots()
     ax.hlines(y, low, high, MODEL_COLOUR, lw=1.4)
-    shown, highest = np.minimum(value, _ACCURACIES[-1]), np.nanmax([value, high])
+    shown = np.minimum(value, _ACCURACIES[-1])
+    highest = np.nanmax([value, high])
     for mask, face in ((~is_hollow, MODEL_COLOUR), (is_hollow, "w")):
         ax.plot(
             shown[mask], y[mask], "o", ms=5.5, color=MODEL_COLOUR, mfc=face, ls="", clip_on=False

@@ -55,7 +55,8 @@ def describe_tables(compiled: Compiled, *, numbers: bool = True) -> list[dict[st
         for s, when in enumerate(["every frame"] if name in compiled.one_table else frames):
             each = compiled.tables[name, s]
             parents = [parent + _BEFORE * (t != s) for parent, t in each.parents]
-            axes, shape = [*parents, name], list(each.values.shape)
+            axes = [*parents, name]
+            shape = list(each.values.shape)
             tables.append({"node": name, "frames": when, "axes": axes, "shape": shape})
             if numbers:
                 tables[-1]["values"] = each.values

@@ -17,7 +17,8 @@ LISTED = 10
 
 def event_table(events: pd.DataFrame) -> Table:
     """A table of lane changes, a row each."""
-    is_known, side = events["from_lane"] != UNASSIGNED, {-1: "left", 1: "right"}
+    is_known = events["from_lane"] != UNASSIGNED
+    side = {-1: "left", 1: "right"}
     columns = {
         "drive": events.get("drive"),
         "time, s": events["time_s"],

@@ -93,11 +93,16 @@ def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     figure = new_figure(5, 5.4, _titled(frames, title))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.plot([0, 1], [0, 1], color=FAINT, lw=1.2, label="perfect calibration")
-    edges, width, lowest = np.arange(N_BINS) / N_BINS, 0.84 / N_BINS / len(both), 1.0
+    edges = np.arange(N_BINS) / N_BINS
+    width = 0.84 / N_BINS / len(both)
+    lowest = 1.0
     for k, (name, each) in enumerate(both.items()):
-        curve, error = calibration_curve(each), SCORES["expected_calibration_error"].of(each)
+        curve = calibration_curve(each)
+        error = SCORES["expected_calibration_error"].of(each)
         colour, marker, dashes = ANSWER_STYLE[name]
-        x, y, count = curve["confidence"], curve["accuracy"], curve["count"]
+        x = curve["confidence"]
+        y = curve["accuracy"]
+        count = curve["count"]
         few = (count < FEW_FRAMES) & (count > 0)
         look: Any = {"color": colour, "marker": marker, "ms": 5, "lw": 1.3}
         label = f"{name}, ECE {error:.3f}"

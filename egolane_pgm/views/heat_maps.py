@@ -11,8 +11,17 @@ from egolane_pgm.inference.compile import Compiled, compiled_of
 from egolane_pgm.views.description import describe_tables, table_frame
 from egolane_pgm.views.style import PROBABILITY_RAMP, inline_figure, new_figure, text_colour
 
-#: Width and height of a cell, and of the largest table; widths of the figure, of a letter; inches.
-_CELL, _LARGEST, _WIDE, _LETTER = (0.42, 0.19), (4.2, 6.1), 10.0, 0.068
+#: Width and height of a cell, inches: room for a number of five characters.
+_CELL = (0.42, 0.19)
+
+#: Width and height of the largest table, inches: 10 columns and 32 rows with their numbers.
+_LARGEST = (4.2, 6.1)
+
+#: Width of the figure, inches.
+_WIDE = 10.0
+
+#: Width of a letter, inches, at 8 points.
+_LETTER = 0.068
 
 #: Tables with more rows than this are not drawn but named.
 MAX_ROWS = 1000
@@ -34,8 +43,11 @@ def draw_tables(network: Any) -> Figure:
 
 def tables_figure(compiled: Compiled) -> Figure:
     """Draw the heat maps of `draw_tables`, side by side in as many rows as they need."""
-    notes, panels = ["rows: values of the parents; lane 1 is the leftmost"], []
-    x, y, below = 0.0, 0.8, 0.0
+    notes = ["rows: values of the parents; lane 1 is the leftmost"]
+    panels = []
+    x = 0.0
+    y = 0.8
+    below = 0.0
     for each in describe_tables(compiled):
         name, frame = table_frame(each, compiled.values)
         name += ", first frame" * (each["frames"] == "first frame")
@@ -46,9 +58,12 @@ def tables_figure(compiled: Compiled) -> Figure:
         margin = 0.2 + _LETTER * max(map(len, frame.index))
         wide = max(margin + size[0], margin + _LETTER * len(name)) + 0.1
         if x > 0 and x + wide > _WIDE:
-            x, y, below = 0.0, y + below, 0.0
+            x = 0.0
+            y = y + below
+            below = 0.0
         panels.append((name, frame.rename_axis(columns=each["node"]), x + margin, y, *size))
-        x, below = x + wide, max(below, size[1] + 0.85)
+        x = x + wide
+        below = max(below, size[1] + 0.85)
     tall = y + below
     figure = new_figure(_WIDE, tall, layout="none")
     figure.text(0.02, 1 - 0.1 / tall, "\n".join(notes), va="top", fontsize=8)
@@ -64,7 +79,8 @@ def tables_figure(compiled: Compiled) -> Figure:
         ax.tick_params(length=0, labelsize=7)
         ax.grid(False)
         for (row, column), p in np.ndenumerate(frame if across == down == 1 else ()):
-            text, colour = f"{p:.3f}" if 0 < p < 1 else f"{p:.0f}", text_colour(PROBABILITY_RAMP(p))
+            text = f"{p:.3f}" if 0 < p < 1 else f"{p:.0f}"
+            colour = text_colour(PROBABILITY_RAMP(p))
             ax.text(column, row, text, color=colour, ha="center", va="center", fontsize=6.5)
     if panels:
         bar = figure.add_axes((0.7, 1 - 0.25 / tall, 0.25, 0.1 / tall))

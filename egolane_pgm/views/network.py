@@ -36,8 +36,23 @@ _TEMPORAL = "#b3541e"
 #: The bends that are tried for an edge, the straight line first.
 _BENDS = (0.0, 0.12, -0.12, 0.22, -0.22, 0.32, -0.32, 0.45, -0.45)
 
-# Radii of nodes; distances between rows, around a slice and between slices; inches of a unit.
-_RADIUS, _SMALL, _STEP, _MARGIN, _GAP, _INCH = 0.52, 0.17, 1.5, 0.75, 1.3, 0.8
+#: Radius of a node, units of the drawing, as all lengths but the last.
+_RADIUS = 0.52
+
+#: Radius of a node of virtual evidence, which has no name in it.
+_SMALL = 0.17
+
+#: Distance between the centres of two nodes.
+_STEP = 1.5
+
+#: Distance between the centre of an outer node and the frame of its slice.
+_MARGIN = 0.75
+
+#: Distance between the slices: room for the edges from one to the other.
+_GAP = 1.3
+
+#: Inches of a unit.
+_INCH = 0.8
 
 
 class Structure(NamedTuple):
@@ -105,10 +120,11 @@ def network_figure(structure: Structure, gains: Gains | None = None) -> Figure:
     Hidden nodes are white circles, functions have a double outline, observed nodes are blue-grey,
     inputs are squares, and virtual-evidence nodes are small and dark.
 
-    - gains: by parent, child and lag (0 or 1) what an edge gains; these are drawn up to five times
+    - gains: of edges, by parent, child and lag (0 or 1); these are drawn up to five times
       as wide.
     """
-    gains, most = gains or {}, max([1e-9, *(gains or {}).values()])
+    gains = gains or {}
+    most = max([1e-9, *gains.values()])
     places = _places(structure)
     width, height = np.max(list(places.values()), axis=0)
     shift = width + 2 * _MARGIN + _GAP
@@ -123,7 +139,8 @@ def network_figure(structure: Structure, gains: Gains | None = None) -> Figure:
     ax.axis("off")
     nodes: dict[SliceNode, Shape] = {}
     for s, title in enumerate(("frame t", "frame t + 1")):
-        corner, margin = (s * shift - _MARGIN, -_MARGIN), 2 * _MARGIN
+        corner = (s * shift - _MARGIN, -_MARGIN)
+        margin = 2 * _MARGIN
         rounded = "round,pad=0,rounding_size=0.2"
         box = FancyBboxPatch(corner, width + margin, height + margin + 0.1, boxstyle=rounded)
         box.set(facecolor="#f4f4f2", edgecolor="none", zorder=0)

@@ -66,7 +66,9 @@ def result_text(result: Result, style: str = "markdown") -> str:
       and lane change.
     """
     wide = style != "markdown"
-    run, sides, events = result.run, scores_by_side(result), result.events
+    run = result.run
+    sides = scores_by_side(result)
+    events = result.events
     several = "drive" in result.frames
     most = None if wide else LISTED
     parts: list[str | Table] = ["\n".join(_head(result, sides))]
@@ -100,7 +102,8 @@ def result_text(result: Result, style: str = "markdown") -> str:
 
 def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     """The first lines: score or lane over time, the drive, and the number of lane changes."""
-    run, scores = result.run, result.scores
+    run = result.run
+    scores = result.scores
     if sides:
         accuracy = sides["model"]["accuracy"]
         detector = sides.get("detector", {}).get("accuracy")
@@ -112,7 +115,8 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     elif "drive" in result.frames:
         lines = [f"{run['name']}: no ground truth, no scores"]
     else:
-        lane, time_s = result.node("Lane"), result.frames["time_s"].to_numpy()
+        lane = result.node("Lane")
+        time_s = result.frames["time_s"].to_numpy()
         last = lane[-1]
         lines = [
             f"{run['name']}: {segments_text(lane_segments(lane, result.events, time_s))}",
@@ -127,7 +131,8 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     lines += run["why_not_causal"]
     if "blocks" in run:
         lines.append(f"held out, {run['blocks']} blocks; fit.method: {run['fit']}")
-    found, n_events = scores["events"], len(result.events)
+    found = scores["events"]
+    n_events = len(result.events)
     if "within" in found:
         within = found["within"]["1"]
         lines.append(

@@ -39,14 +39,28 @@ from egolane_pgm.views.style import (
     new_figure,
 )
 
-#: The most frames in a row of strips, about a pixel each at 200 dpi; and the most rows. The rows of
-#: a longer range are longer, and not each frame has a pixel.
-MAX_COLUMNS, MAX_ROWS = 1300, 8
+#: The most frames in a row of strips: about a pixel each at 200 dpi.
+MAX_COLUMNS = 1300
+
+#: The most rows. A longer range has longer rows, in which not each frame has a pixel.
+MAX_ROWS = 8
 
 _ERRORS = {"wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR}
 
-# Heights in inches; and the gap between two strips, in lanes.
-_HEAD, _FOOT, _LANE, _ROW_GAP, _GAP = 0.3, 0.4, 0.16, 0.45, 0.6
+#: Height of the title, inches.
+_HEAD = 0.3
+
+#: Height of the legend, inches.
+_FOOT = 0.4
+
+#: Height of a lane, inches: room for its number.
+_LANE = 0.16
+
+#: Height between two rows of strips, inches: room for the ticks.
+_ROW_GAP = 0.45
+
+#: Gap between two strips, lanes.
+_GAP = 0.6
 
 
 def result_strips(result: Result, first: int | None = None, last: int | None = None) -> Figure:
@@ -98,7 +112,8 @@ def _on_one_axis(frames: pd.DataFrame, events: pd.DataFrame) -> tuple[pd.DataFra
     """Frames and lane changes with their outcome; several drives are numbered from 0."""
     if "drive" not in frames:
         return frames, events.assign(outcome=outcomes(events, frames))
-    found, start = [], 0
+    found = []
+    start = 0
     for name, part in by_drive(frames):
         mine = events[events["drive"] == name]
         place = start + part.index.get_indexer(mine["detected_frame_id"])
@@ -116,7 +131,8 @@ def strip_cells(frames: pd.DataFrame, low: int, high: int) -> dict[str, FloatArr
     - low, high: frame ids, both included.
     """
     frames = frames.loc[low:high]
-    known, truth = is_known(frames), true_lane(frames)
+    known = is_known(frames)
+    truth = true_lane(frames)
     cells: dict[str, Any] = {"crossing": frames["is_crossing"].eq(True).fillna(False)}
     cells["Changes"] = np.zeros(len(frames))
     for name, each in answers(frames).items():
@@ -147,10 +163,12 @@ def _draw_strips(
     edges = [x for begin, length in crossing for x in (begin, begin + length)]
     for name in names:
         length, n = cells[name].shape
-        right, box = left + length, ((left, top), length, n)
+        right = left + length
+        box = ((left, top), length, n)
         if name == "Changes":
             for (direction, outcome), some in events.groupby(["direction", "outcome"]):
-                at, marker = some["detected_frame_id"], "^" if direction < 0 else "v"
+                at = some["detected_frame_id"]
+                marker = "^" if direction < 0 else "v"
                 look: Any = {"ms": 4.5, "color": OUTCOMES[outcome], "mew": 0, "zorder": 4}
                 ax.plot(at, np.full(len(at), top + 0.5), marker, **look)
         else:

@@ -63,9 +63,12 @@ def study_title(study: Study) -> str:
 def study_text(study: Study, style: str) -> str:
     """The output of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
     parts: list[str | Table] = [study_title(study)]
-    scores, folds, held_out = {"in-sample": study.in_sample.scores}, [], study.held_out
+    scores = {"in-sample": study.in_sample.scores}
+    folds = []
+    held_out = study.held_out
     if held_out is not None:
-        scores["held out"], folds = held_out.scores, held_out.run["fitted"]
+        scores["held out"] = held_out.scores
+        folds = held_out.run["fitted"]
         parts.append(f"held out: {len(folds)} folds, each scored with a fit to the others")
     if "model" in study.in_sample.scores:
         parts.append(score_table({name: each["model"] for name, each in scores.items()}))
@@ -110,7 +113,8 @@ def pareto_front(trials: pd.DataFrame, objectives: Sequence[str]) -> pd.DataFram
     done = trials[trials["state"] == "COMPLETE"].drop_duplicates(objectives)
     values = done[objectives].to_numpy() * list(map(_sign, objectives))
     beaten = [((values >= row).all(axis=1) & (values > row).any(axis=1)).any() for row in values]
-    first, front = objectives[0], done[~np.array(beaten)]
+    first = objectives[0]
+    front = done[~np.array(beaten)]
     return front.sort_values(first, ascending=_sign(first) < 0, kind="stable")
 
 
@@ -118,7 +122,8 @@ def profile_table(profile: pd.DataFrame) -> Table:
     """A row per parameter: its best value, and the range of the values that are not ruled out."""
     rows = {}
     for name, found in profile.groupby("parameter", sort=False):
-        value, kept = found["value"], found["value"][~found["is_ruled_out"]]
+        value = found["value"]
+        kept = found["value"][~found["is_ruled_out"]]
         words = f"{cell(kept.min())} to {cell(kept.max())}"
         if (kept.min(), kept.max()) == (value.min(), value.max()):
             words = "any value" if found["low"].notna().any() else "unknown: too few frames"
@@ -132,7 +137,9 @@ def profile_table(profile: pd.DataFrame) -> Table:
 
 def exploration_text(found: Exploration, style: str) -> str:
     """The output of `egolane explore`: which edge helps."""
-    edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
+    edges = found.edges
+    gain = found.gain
+    forms = {"gain": "+.3f", "over_drives": "+.3f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
     edges = edges.set_index(pd.Index(removed + edges["edge"], name="edge"))
     last = "chosen" if max(edges["chosen"]) > 1 else "free_parameters"

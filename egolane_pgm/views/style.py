@@ -20,10 +20,26 @@ from egolane_pgm.tools.files import make_directory, write_bytes
 from egolane_pgm.tools.progress import ipython
 from egolane_pgm.types import InputError
 
-INK, FAINT, GRID, CROSSING = "#222222", "#b8b8b8", "#ececec", "#8c8c8c"
+#: Text and axes.
+INK = "#222222"
 
-#: Okabe and Ito's vermillion and blue; all common kinds of colour blindness keep them apart.
-DETECTOR_COLOUR, MODEL_COLOUR, UNASSIGNED_COLOUR = "#d55e00", "#0072b2", "#1a1a1a"
+#: Lines of reference.
+FAINT = "#b8b8b8"
+
+#: Grids, and frames without an answer.
+GRID = "#ececec"
+
+#: Crossing frames.
+CROSSING = "#8c8c8c"
+
+#: Okabe and Ito's vermillion; all common kinds of colour blindness keep it apart from their blue.
+DETECTOR_COLOUR = "#d55e00"
+
+#: Okabe and Ito's blue.
+MODEL_COLOUR = "#0072b2"
+
+#: Frames that are Unassigned.
+UNASSIGNED_COLOUR = "#1a1a1a"
 
 #: Colours of reported lane changes by outcome.
 OUTCOMES = {"correct": MODEL_COLOUR, "false": DETECTOR_COLOUR, "not annotated": CROSSING}

@@ -81,7 +81,7 @@ def cell(value: Any, form: int | str = 3) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in percent with one decimal; without one for exactly 0 and 1."""
+    """Return a share in percent with one decimal, or no decimal for exactly 0 and 1."""
     value = 100 * float(share)
     if 0 < value < 0.05:
         return "<0.1"
