@@ -17,7 +17,6 @@ from egolane_pgm.studies import profile as module
 from egolane_pgm.studies.fits import search_space
 from egolane_pgm.studies.objective import beliefs_at, score_of
 from egolane_pgm.studies.profile import make_profile, values_of
-from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.study import Study, Work, run_study
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
@@ -116,8 +115,7 @@ def test_a_profile_of_several_drives_has_their_score(
     monkeypatch.setattr(module, "STEPS", 2)
     drives = [fitting(each, trials=10, parameters=HELD) for each in two_drives()]
     study = run_study(drives, "tune", [], Work(pooled=pooled))
-    tuning = settings_of(drives[0].experiment.fit)
-    found = make_profile(drives, ["sigma1"], tuning, study.trials, pooled=pooled)
+    found = make_profile(drives, ["sigma1"], study.trials, pooled=pooled)
     assert found["score"].max() >= study.trials["accuracy"].max() - 1e-9
     row = found[found["value"] == study.trials.loc[study.trials["accuracy"].idxmax(), "sigma1"]]
     assert row["score"].item() >= study.trials["accuracy"].max() - 1e-9
