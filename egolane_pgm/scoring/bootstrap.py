@@ -65,15 +65,19 @@ def resampled_sums(
     n_frames = len(values)
     n_blocks = starts.shape[1]
     kinds = {"b": np.int32, "i": np.int64, "u": np.int64}
-    flat = values.reshape(n_frames, -1).astype(kinds.get(values.dtype.kind, np.float64), copy=False)
+    kind = kinds.get(values.dtype.kind, np.float64)
+    # Contiguous frames: a block is looked up as one row.
+    flat = values.reshape(n_frames, -1).astype(kind, order="C", copy=False)
     wrapped = np.concatenate([np.zeros_like(flat[:1]), flat, flat[:block]])
     np.cumsum(wrapped, axis=0, out=wrapped)
     last_length = n_frames - (n_blocks - 1) * block
     whole = wrapped[block:][:n_frames] - wrapped[:n_frames]
     last = wrapped[last_length:][:n_frames] - wrapped[:n_frames]
-    # One resample at a time: all of them together would take gigabytes for a long drive.
-    sums = last[starts[:, -1]] + np.stack([whole[k].sum(axis=0) for k in starts[:, :-1]])
-    return np.asarray(sums.reshape(len(starts), *values.shape[1:]))
+    # One block at a time: all of them together would take gigabytes for a long drive.
+    sums = np.zeros((len(starts), flat.shape[1]), np.result_type(whole, np.int64))
+    for k in starts.T[:-1]:
+        sums += whole[k]
+    return np.asarray((sums + last[starts[:, -1]]).reshape(len(starts), *values.shape[1:]))
 
 
 def bootstrap_interval(

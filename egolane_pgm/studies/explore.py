@@ -151,14 +151,10 @@ def make_problem(
     if len({drive.model.n_lanes for drive in drives}) > 1:
         raise InputError("explore: the drives differ in n_lanes; explore them apart")
     if judge != "bic" and not folds:
-        raise InputError(
-            f"judge: {judge} needs held-out frames (folds); or take bic"
-        )
+        raise InputError(f"judge: {judge} needs held-out frames (folds); or take bic")
     is_scored = [(drive.true_lane[~drive.is_crossing] > 0).any() for drive in drives]
     if judge not in _OF_LINES and not all(is_scored):
-        raise InputError(
-            f"judge: {judge} needs ground truth; or take log_evidence or bic"
-        )
+        raise InputError(f"judge: {judge} needs ground truth; or take log_evidence or bic")
     learnable_nodes(model)
     start = start_of_learning(model).compiled
     tables = list(start.tables.values())
