@@ -38,7 +38,7 @@ def test_the_text_fits_eighty_columns_and_names_the_worst_prediction(
     cells = [f"{row[k]:.0f} [{row[f'{k}_low']:.0f}, {row[f'{k}_high']:.0f}]" for k in CELLS]
     assert all(cell in text for cell in cells)
     # The bin with 10 of 1,510 predictions is left out.
-    assert "with 0.40 comes in 0.10 of 500" in " ".join(text.split())
+    assert "with 0.40 come in 0.10 of 500" in " ".join(text.split())
 
 
 CELLS = ("posterior", "model")

@@ -75,5 +75,5 @@ def test_a_network_is_drawn_in_any_form() -> None:
     for draw in (ego.draw_tables, ego.draw_network):
         for form in (result, result.model, result.model.compiled):
             assert draw(form).axes
-        with pytest.raises(ego.InputError, match="str: needs a Result, its model, or what `comp"):
+        with pytest.raises(ego.InputError, match="str is not a model"):
             draw("sensor_failure")  # type: ignore[arg-type]
