@@ -60,7 +60,7 @@ def test_draws_without_a_value_do_not_count() -> None:
     assert found.loc["half", ["model", "probability"]].tolist() == [1, 0]
 
 
-def test_what_cannot_be_checked_is_refused() -> None:
+def test_a_result_that_cannot_be_checked_is_refused() -> None:
     with pytest.raises(ego.InputError, match=r"check: rain: no node 'Rain'; there are .*Lane"):
         ego.check(RESULT, {"rain": share("Rain", 0)}, n=2)
     for changes, message in (

@@ -84,7 +84,7 @@ def test_each_change_is_that_of_a_run_with_the_other_number() -> None:
                 assert row[f"{score}_{side}"] == pytest.approx(gain, abs=1e-12)
 
 
-def test_what_cannot_be_compared_is_left_empty() -> None:
+def test_incomparable_log_evidence_is_left_empty() -> None:
     values = {"parameters.p1": 1.0, "parameters.bonus_value": 9}
     found = ego.sensitivity(run("quickstart", {**SHORT, **values, "filter": "smoothed"}))
     assert found.loc["p1", ["value", "value_high"]].tolist() == [1.0, 1.0]
@@ -97,7 +97,7 @@ def test_what_cannot_be_compared_is_left_empty() -> None:
     assert blind.loc["sigma1", SCORES[2:]].notna().all()
 
 
-def test_what_cannot_be_measured_is_refused() -> None:
+def test_a_step_or_result_that_does_not_fit_is_refused() -> None:
     result = run("quickstart", {"recording.frames": [0, 9]})
     with pytest.raises(ego.InputError, match="step: 2 is not a share"):
         ego.sensitivity(result, step=2)

@@ -74,7 +74,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
         ("{0}/lane_only_0 {0}/../blind --of name", "lines: has no ground truth to compare"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(
+def test_results_that_cannot_be_compared_are_refused(
     results: Path, tmp_path: Path, words: str, message: str
 ) -> None:
     blind = results.parent / "blind"

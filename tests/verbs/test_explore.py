@@ -54,7 +54,7 @@ def test_a_repeated_command_fits_nothing_again(tmp_path: Path) -> None:
         (("--node", "Lane=3"), "--node: 'Lane=3' is not NEW_NAME=SIZE"),
     ],
 )
-def test_what_cannot_be_explored_is_refused_in_one_line(
+def test_a_bad_edge_node_or_judge_is_refused_in_one_line(
     tmp_path: Path, words: tuple[str, ...], message: str
 ) -> None:
     result = command(*WORDS, *words, "--out", tmp_path / "x")

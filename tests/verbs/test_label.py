@@ -74,7 +74,7 @@ def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) ->
         ("lines.csv", "--n-lanes 3 --set recording.camera={0}/cam.yaml", "cam.yaml"),
     ],
 )
-def test_what_cannot_be_labelled_is_refused_in_a_line(
+def test_a_recording_that_cannot_be_labelled_is_refused_in_a_line(
     lines: Path, tmp_path: Path, given: str, words: str, message: str
 ) -> None:
     folder = lines.parent

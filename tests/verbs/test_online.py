@@ -57,7 +57,7 @@ def test_other_names_of_fields_are_an_option(tmp_path: Path) -> None:
         ("--columns ofset_m=y", "", "columns: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_line(
+def test_messages_and_options_that_do_not_fit_are_refused_in_one_line(
     tmp_path: Path, words: str, sent: str, message: str
 ) -> None:
     path = write_drive(tmp_path, N_FRAMES)

@@ -74,7 +74,7 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
         ("{1}/study --out {1}/page.html", "{1}/study: is not a result directory"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_in_one_line(
+def test_results_that_cannot_be_drawn_are_refused_in_one_line(
     saved: Path, tmp_path: Path, words: str, message: str
 ) -> None:
     shutil.copytree(saved, tmp_path / "half")

@@ -24,7 +24,7 @@ def test_a_dry_run_checks_every_experiment_of_the_paper(recordings: Path) -> Non
         assert done("run", "--dry-run", path).stdout == expected
 
 
-def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_name_it_lists_all_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(experiments_folder().parent)
     shown = done("show").stdout
     words = " ".join(shown.split())
@@ -94,7 +94,7 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("ml --out {0}/g.png", "only a graph"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_in_a_line(
+def test_a_name_that_cannot_be_shown_is_refused_in_a_line(
     tmp_path: Path, words: str, message: str
 ) -> None:
     (tmp_path / "both.py").write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
@@ -104,7 +104,7 @@ def test_what_cannot_be_shown_is_refused_in_a_line(
 
 
 @pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1"])
-def test_an_override_that_is_none_is_refused(drive: Path, override: str) -> None:
+def test_a_malformed_override_is_refused(drive: Path, override: str) -> None:
     assert refused("run", "--dry-run", drive, "--set", override).startswith(f"--set: {override}: ")
 
 

@@ -141,7 +141,7 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
         ("--ground-truth x.txt", "No such option"),
     ],
 )
-def test_what_cannot_be_searched_is_one_line_and_leaves_nothing(
+def test_a_search_that_cannot_start_is_one_line_and_leaves_nothing(
     tmp_path: Path, words: str, message: str
 ) -> None:
     line = refused("tune", QUICKSTART, "--out", tmp_path / "o", *words.split())
@@ -230,7 +230,7 @@ def test_a_study_scores_the_reject_option_as_a_run_does(tmp_path: Path) -> None:
 # --- learn ---------------------------------------------------------------------------------------
 
 
-def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Path) -> None:
+def test_a_model_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Path) -> None:
     frame = np.arange(12)
     tusimple(tmp_path / "labels.json", [entry(k, raw_file=f"{k:05d}.jpg") for k in frame])
     write_ground_truth(tmp_path / "t.txt", lane_truth(frame, np.full(12, 2), frame < 0))
@@ -266,7 +266,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Pa
         ({}, "--set fit.strength=0", "fit.strength: needs a number greater than 0"),
     ],
 )
-def test_what_cannot_be_learned_is_one_line(
+def test_a_model_that_cannot_be_learned_is_one_line(
     tmp_path: Path, keys: dict[str, Any], words: str, message: str
 ) -> None:
     path = write_drive(tmp_path, **keys)

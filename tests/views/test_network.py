@@ -88,7 +88,7 @@ def test_every_node_is_labelled_in_both_slices_and_every_edge_has_one_arrow() ->
     assert sorted(arrows(figure)) == sorted(edges(network))
 
 
-def test_nodes_are_what_the_compiled_network_makes_of_them() -> None:
+def test_nodes_have_the_kinds_of_the_compiled_network() -> None:
     assert structure_of(template("sensor_failure", 3)).kind == paper().kind
     assert sorted(edges(structure_of(template("sensor_failure", 3)))) == sorted(edges(paper()))
     assert structure_of(template("position_in_lane", 3)).kind == {
@@ -161,7 +161,7 @@ def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure)
 
 
 @pytest.mark.parametrize("name", ["sensor_failure", "position_in_lane"])
-def test_pgmpy_reads_from_a_bif_file_what_was_written(tmp_path: Path, name: str) -> None:
+def test_pgmpy_reads_the_network_from_a_bif_file(tmp_path: Path, name: str) -> None:
     compiled = template(name, 2)
     write_network(compiled, tmp_path / "network.bif")
     with quiet():
@@ -176,7 +176,7 @@ def test_pgmpy_reads_from_a_bif_file_what_was_written(tmp_path: Path, name: str)
         assert tuple(cpd.state_names[f"{node}_{s}"]) == compiled.values[node]
 
 
-def test_what_bif_cannot_name_is_refused() -> None:
+def test_a_name_that_bif_does_not_allow_is_refused() -> None:
     tables = template("lane_only", 2).tables.values()
     for name in ("a,b", "a}", " a", 'say "a"', "a // b", ""):
         with pytest.raises(InputError, match="Lane_0: a BIF file cannot hold the value name"):
