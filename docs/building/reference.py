@@ -195,7 +195,7 @@ def kind_of(key: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
         if "prefixItems" in key:
             parts = [kind_of(each, definitions) for each in key["prefixItems"]]
             return f"[{', '.join(parts)}]"
-        return f"list of {kind_of(key.get('items', {}), definitions)}"
+        return f"list of {kind_of(key['items'], definitions)}" if "items" in key else "list"
     words = {
         "integer": "whole number",
         "number": "number",
@@ -556,6 +556,8 @@ def results_page() -> str:
         [
             "# Result directories",
             as_markdown(about(result)),
+            "experiment.yaml names a copy of your own graph or rule. graph.yaml is a graph that was"
+            " fitted or in memory. So a loaded result has the same model.",
             "## beliefs.parquet",
             "A row per frame, `Result.frames`; the index is `frame_id`. Columns with a `?` are not"
             " always there.",
