@@ -290,7 +290,7 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
         first = first or counts
         sizes = np.array([each.run["free_parameters"] for each in side])
         cells["free_parameters"] = float(sizes.mean())
-        if all(each.run["tuned_on"] != "other_frames" for each in side):
+        if not any(each.run["tuned_on"] in ("other_frames", "other_drive") for each in side):
             total, n_frames = np.transpose([each["log_evidence"].sum(axis=0) for each, _ in parts])
             cells["bic"] = float(np.mean(total - sizes / 2 * np.log(n_frames)))
         yield cells
