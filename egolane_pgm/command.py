@@ -303,6 +303,12 @@ class _Group(click.Group):
         except InputError as error:
             click.echo(f"egolane: {error}", err=True)
             ctx.exit(2)
+        except OSError as error:
+            # Such as a name that is too long; a closed pipe has no name.
+            if error.filename is None:
+                raise
+            click.echo(in_one_line(f"egolane: {error.filename}: {error.strerror}"), err=True)
+            ctx.exit(2)
         except click.UsageError as error:
             if isinstance(error, click.exceptions.NoArgsIsHelpError):
                 raise

@@ -34,7 +34,7 @@ from egolane_pgm.loading import (
     safe_name,
 )
 from egolane_pgm.model import compile_model, with_graph
-from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.recordings.columns import column_keys, plain
 from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools import options
@@ -336,9 +336,10 @@ def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[s
     Raises InputError for an unknown column and for a table without rows.
     """
     if isinstance(table, pd.DataFrame):
-        cells, folder, where = table, Path.cwd(), "table"
+        cells, folder, where = plain(table, "table"), Path.cwd(), "table"
     else:
-        cells, folder, where = _read_csv(Path(table)), Path(table).absolute().parent, str(table)
+        cells = plain(_read_csv(Path(table)), str(table))
+        folder, where = Path(table).absolute().parent, str(table)
     for column in map(str, cells):
         if not column.startswith(TAG) and column.split(".")[0] not in Experiment.model_fields:
             hint = suggestion(column, Experiment.model_fields)
