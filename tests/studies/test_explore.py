@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import optuna
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -20,7 +21,7 @@ from egolane_pgm.studies import explore as module
 from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
 from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
-from egolane_pgm.studies.study import block_folds, everything
+from egolane_pgm.studies.study import Fold, block_folds, everything
 from tests.benchmarks.workbench import search
 from tests.kits.line_logs import line_log
 from tests.kits.studies import drive_of, fitting
@@ -88,22 +89,47 @@ def test_a_pruned_set_is_not_the_answer(sampler: Any) -> None:
     assert (len(all_sets.structures), len(alone.structures)) == (4, 3)
 
 
+def judgement(values: list[np.ndarray], numbers: int) -> pd.DataFrame:
+    """What `judged` returns for some values per recording."""
+    tables = [pd.DataFrame({"recording": k, "value": each}) for k, each in enumerate(values)]
+    found = pd.concat(tables, ignore_index=True)
+    found.attrs = {"free_parameters": numbers, "log_evidence": 0.0, "bic": 0.0}
+    return found
+
+
+@pytest.mark.parametrize("sampler", ["evolution", "tpe"])
+def test_every_sampler_of_a_search_explores(sampler: str) -> None:
+    problem = make_problem([DRIVE], [], judge="bic")
+    found = explore(problem, ["Lane -> WOR", str(REPEATS)], trials=6, sampler=sampler)
+    assert len(found.structures) == 4
+    assert found.structures["score"].is_monotonic_decreasing
+
+
+def test_clips_of_one_recording_are_several_drives() -> None:
+    clips = [replace(DRIVE, name=name) for name in ("a", "b")]
+    seeded = ego.load_experiment("quickstart", {**KEYS, "recording.seed": 1})
+    other = replace(DRIVE, model=replace(DRIVE.model, experiment=seeded))
+    assert make_problem(clips, [], judge="bic").drive_ids == (0, 1)
+    assert make_problem([DRIVE, DRIVE], [], judge="bic").drive_ids == (0, 0)
+    assert make_problem([DRIVE, other], [], judge="bic").drive_ids == (0, 1)
+
+
 def test_recordings_of_one_drive_count_once_over_drives() -> None:
     tried, edge = module.Tried(replace(BIC, drive_ids=(0, 1, 1)), None), frozenset({REPEATS})
-    tried.found[frozenset(), 0] = [np.zeros(700)] * 3, {"numbers": 1}
-    tried.found[edge, 0] = [np.full(700, each) for each in (0.1, 0.2, 0.6)], {"numbers": 2}
+    tried.found[frozenset(), 0] = judgement([np.zeros(700)] * 3, 1)
+    tried.found[edge, 0] = judgement([np.full(700, each) for each in (0.1, 0.2, 0.6)], 2)
     gain = tried.gain(edge)
     of_frames = [gain["gain"], gain["gain_low"], gain["gain_high"]]
     np.testing.assert_allclose(of_frames, 0.3)
     of_drives = [gain["over_drives"], gain["over_drives_low"], gain["over_drives_high"]]
     np.testing.assert_allclose(of_drives, [0.25, *stats.t.interval(0.95, 1, 0.25, 0.15)])
-    assert (gain["drives"], gain["numbers"]) == (2, 1)
+    assert (gain["drives"], gain["free_parameters"]) == (2, 1)
 
 
 def test_only_frames_of_trusted_labels_outside_of_crossings_are_judged() -> None:
     drive = fitting(DRIVE, untrusted_frames=[[40, 90]])
     problem = make_problem([drive], block_folds([drive], 2))
-    values = np.concatenate([judged(problem, ((), k))[0][0] for k in (0, 1)])
+    values = np.concatenate([judged(problem, ((), k))["value"] for k in (0, 1)])
     is_untrusted = (drive.log.frame_id[drive.rows] >= 40) & (drive.log.frame_id[drive.rows] < 90)
     np.testing.assert_array_equal(np.isnan(values), is_untrusted | drive.is_crossing[drive.rows])
 
@@ -115,7 +141,7 @@ def test_a_gain_by_chance_ends_a_greedy_search() -> None:
     gains = {frozenset[Edge](): 0.0, frozenset({clear}): 0.1, frozenset({other}): chance}
     gains[frozenset(ADDED)] = chance + 0.1
     for structure, gain in gains.items():
-        tried.found[structure, 0] = [gain + np.zeros(3000)], {"numbers": 1}
+        tried.found[structure, 0] = judgement([gain + np.zeros(3000)], 1)
     assert module._greedy(tried, ADDED) == {clear}
 
 
@@ -169,6 +195,8 @@ def test_edges_are_read_as_they_are_written() -> None:
     assert [parse_edge(str(edge), START.values) for edge in found] == found
 
 
+NO_FRAMES = fitting(DRIVE, untrusted_frames=[[0, None]])
+EMPTY = Fold((np.zeros(0, dtype=int),), (np.arange(len(DRIVE)),))
 OF_INPUT = replace(BIC, model=replace(BIC.model, compiled=replace(START, inputs=("Lane",))))
 REFUSED = {
     "no node 'Rain'": lambda: parse_edge("Rain -> WOR", START.values),
@@ -182,6 +210,7 @@ REFUSED = {
     "unknown sampler 'best'": lambda: explore(BIC, ["Lane -> WOR"], sampler="best"),
     "no table that an input selects": lambda: module.made(OF_INPUT, frozenset(ADDED)),
     "WOR has more than 3 parents": lambda: module.made(BIC, frozenset(THREE)),
+    "block 1: no frame is left to fit to": lambda: make_problem([NO_FRAMES], [EMPTY]),
     "NEW_NAME=SIZE": lambda: make_problem([DRIVE], [], judge="bic", nodes=["Lane=3"]),
 }
 
