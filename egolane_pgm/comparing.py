@@ -144,11 +144,9 @@ def _default_key(results: Sequence[Result]) -> str:
 
 
 def _recording(result: Result) -> str:
-    """The checksum of a result's recording, or its simulated drive."""
-    recording, path = result.experiment.recording, str(result.experiment.recording.path)
-    known = {entry["path"]: entry["sha256"] for entry in result.run["data"]}
-    simulated = f"{recording.simulate}, seed {recording.seed}"
-    return simulated if recording.simulate else known.get(path, path)
+    """The file of a result's recording, or its simulated drive."""
+    recording = result.experiment.recording
+    return recording.path or f"{recording.simulate}, seed {recording.seed}"
 
 
 def _value(result: Result, key: str | None) -> Any:

@@ -67,7 +67,7 @@ def summary(done: pd.DataFrame, given: Mapping[str, Any]) -> str:
     on = done.segment >= 0
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
     n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
-    assumed = (on & (done.unknown_way > 0)).mean()
+    assumed = (on & (done.unknown_way != 0)).mean()
     ends, unit = done.t_s.iloc[[0, -1]], "s"
     first, last = (f"{t:g}" for t in ends)
     if ends.iloc[0] > _DATES:

@@ -176,7 +176,8 @@ def test_free_parameters_and_bic_by_hand() -> None:
     plain = np.array([[0.5, 0.5], [1.0, 0.0], [0.9, 0.1]])
     tables = [Table(("A", 1), (("A", 0),), repeated), Table(("B", 1), (("A", 1),), plain)]
     assert free_parameters({t.node: t for t in tables}, [("A", 1)]) == (1 + 1) + (1 + 0 + 1)
-    [evidence], (_, found) = BIC.evidence, judged(BIC, (frozenset(), 0))
+    [evidence] = BIC.evidence
+    found = judged(BIC, ((), 0)).attrs
     lane = np.where(DRIVE.is_crossing, -1, DRIVE.true_lane - 1)
     fit = ego.fit_tables(START, evidence, {"Lane": lane}, strength=1.0, iterations=50)
     log_evidence = ego.filter_beliefs(fit.compiled, evidence).log_evidence.sum()
