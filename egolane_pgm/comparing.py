@@ -125,7 +125,7 @@ def open_results(results: Any) -> list[Result]:
         folder = Path(each)
         below = sorted(file.parent for file in folder.glob("**/run.json"))
         if (folder / SUMMARY).exists():
-            rows = list(read_parquet(folder / SUMMARY)["name"])
+            rows = list(read_parquet(folder / SUMMARY).index)
             below.sort(key=lambda p: rows.index(p.name) if p.name in rows else len(rows))
         found += map(load_result, below or [folder])
     return found
@@ -305,7 +305,8 @@ def _evidence_key(result: Result) -> str:
     """A checksum that is equal for results with the same evidence, up to their graphs."""
     run, others = result.run, ("graph", "filter", "lag", "start_lane", "min_confidence", "fit")
     content = content_of(result.experiment, [*others, "tuned_on", "ground_truth", "parameters"])
-    content["recording"].pop("frames")
+    for key in ("frames", "columns"):
+        content["recording"].pop(key)
     names = {DETECTOR, *run["of_rule"]}
     fits = [run["config"]["parameters"], *run.get("fitted", ())]
     own = [{k: v for k, v in each.items() if k.split(".")[0] in names} for each in fits]

@@ -38,7 +38,7 @@ from egolane_pgm.recordings.columns import column_keys, plain
 from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools import options
-from egolane_pgm.tools.files import make_directory, write_parquet
+from egolane_pgm.tools.files import atomic, make_directory
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.options import Option, StrPath, place_of
 from egolane_pgm.tools.progress import bar
@@ -422,13 +422,14 @@ def run_table(
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
     done = list(bar(rows, total=len(inputs), unit="run"))
-    summary = pd.DataFrame(done)
+    summary = pd.DataFrame(done).set_index("name")
     try:
-        write_parquet(folder / SUMMARY, summary)
+        with atomic(folder / SUMMARY) as temporary:
+            summary.to_parquet(temporary)
     except InputError as error:
         # The reasons of rows that failed are still returned.
         warnings.warn(str(error), UserWarning, stacklevel=2)
-    return summary.set_index("name")
+    return summary
 
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:
