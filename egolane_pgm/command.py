@@ -204,6 +204,7 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
     """Call a verb with the values of the command line, and print what it returns."""
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
     from egolane_pgm.tools.options import several_of
+    from egolane_pgm.types import printable
 
     tables = {"style": values.pop("table_style")} if "table_style" in values else {}
     json_file = values.pop("json_file", None)
@@ -227,9 +228,9 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
         elif hasattr(module, "text"):
             printed = module.text(done, **tables)
         if isinstance(printed, str):
-            click.echo(printed)
+            click.echo(printable(printed))
         if hasattr(module, "summary") and not isinstance(done, str):
-            end = module.summary(done, given)
+            end = printable(module.summary(done, given))
             click.echo(f"\n{end}" if isinstance(printed, str) else end, err=is_data)
     if json_file == "-":
         click.echo(json_text(document_of(done)), nl=False)
@@ -301,6 +302,12 @@ class _Group(click.Group):
             ctx.exit(130)
         except InputError as error:
             click.echo(f"egolane: {error}", err=True)
+            ctx.exit(2)
+        except OSError as error:
+            # Such as a name that is too long; a closed pipe has no name.
+            if error.filename is None:
+                raise
+            click.echo(in_one_line(f"egolane: {error.filename}: {error.strerror}"), err=True)
             ctx.exit(2)
         except click.UsageError as error:
             if isinstance(error, click.exceptions.NoArgsIsHelpError):

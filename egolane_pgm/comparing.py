@@ -126,7 +126,7 @@ def open_results(results: Any) -> list[Result]:
         folder = Path(each)
         below = sorted(file.parent for file in folder.glob("**/run.json"))
         if (folder / SUMMARY).exists():
-            rows = list(read_parquet(folder / SUMMARY)["name"])
+            rows = list(read_parquet(folder / SUMMARY).index)
             below.sort(key=lambda p: rows.index(p.name) if p.name in rows else len(rows))
         found += map(load_result, below or [folder])
     return found
@@ -145,11 +145,9 @@ def _default_key(results: Sequence[Result]) -> str:
 
 
 def _recording(result: Result) -> str:
-    """The checksum of a result's recording, or its simulated drive."""
-    recording, path = result.experiment.recording, str(result.experiment.recording.path)
-    known = {entry["path"]: entry["sha256"] for entry in result.run["data"]}
-    simulated = f"{recording.simulate}, seed {recording.seed}"
-    return simulated if recording.simulate else known.get(path, path)
+    """The file of a result's recording, or its simulated drive."""
+    recording = result.experiment.recording
+    return recording.path or f"{recording.simulate}, seed {recording.seed}"
 
 
 def _value(result: Result, key: str | None) -> Any:
@@ -298,7 +296,7 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
         first = first or counts
         sizes = np.array([each.run["free_parameters"] for each in side])
         cells["free_parameters"] = float(sizes.mean())
-        if all(each.run["tuned_on"] != "other_frames" for each in side):
+        if not any(each.run["tuned_on"] in ("other_frames", "other_drive") for each in side):
             total, n_frames = np.transpose([each["log_evidence"].sum(axis=0) for each, _ in parts])
             cells["bic"] = float(np.mean(total - sizes / 2 * np.log(n_frames)))
         yield cells
@@ -315,7 +313,8 @@ def _evidence_key(result: Result) -> str:
     """A checksum that is equal for results with the same evidence, up to their graphs."""
     run, others = result.run, ("graph", "filter", "lag", "start_lane", "min_confidence", "fit")
     content = content_of(result.experiment, [*others, "tuned_on", "ground_truth", "parameters"])
-    content["recording"].pop("frames")
+    for key in ("frames", "columns"):
+        content["recording"].pop(key)
     names = {DETECTOR, *run["of_rule"]}
     fits = [run["config"]["parameters"], *run.get("fitted", ())]
     own = [{k: v for k, v in each.items() if k.split(".")[0] in names} for each in fits]

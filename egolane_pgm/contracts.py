@@ -1,9 +1,9 @@
-"""The contracts of plugins: what graphs, evidence rules, detectors and readers are.
+"""The contracts of plugins: graphs, evidence rules, detectors and readers.
 
 Each kind is a frozen dataclass of values and functions. A plugin is a Python module (one of this
 package, or a user's file) that defines the fields under these names: a function under its own name
-(`tables`), a value in capitals (`OBSERVED`). `plugins` reads them once and checks names, types and
-signatures. A graph may also come from YAML, BIF, or a network in memory.
+(`tables`), a value in capitals (`OBSERVED`). Names, types and signatures are checked once, when the
+module is loaded. A graph may also come from YAML, BIF, or a network in memory.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ Marked = tuple[LineLog, IntArray, BoolArray]
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Plugin:
-    """What all plugins have.
+    """The fields of all plugins.
 
-    - name: as in the YAML.
+    - name: name or path, as in the YAML.
     - file: source file; empty for a plugin in memory.
     - about: docstring of the module.
     - is_ours: whether it belongs to this package.
-    - parameters: declared parameters; a plugin's functions get the value of each.
+    - parameters: declared parameters. The functions of a graph, a rule and a detector get their
+      values by name; a reader has none.
     """
 
     #: The folder of this package's plugins of the kind, and the names of which each defines one.
@@ -58,33 +59,43 @@ class Plugin:
 @runtime_checkable
 class Tables(Protocol):
     def __call__(self, n_lanes: int, parameters: Parameters, /) -> Sequence[Table]:
-        """Return the tables of all nodes but the virtual-evidence ones, in both slices.
+        """Return P(node | parents) of each node in two slices: the first frame, and any later one.
 
         A table's values have an axis for each parent, then one for the node, and sum to 1 over the
-        last axis; `egolane_pgm.cpds` has functions for the usual ones.
+        last axis. Lane has `n_lanes` values. `prior`, `dynamics` and `within` of `egolane_pgm.cpds`
+        make the tables of a node. Virtual-evidence nodes are left out.
         """
 
 
 @runtime_checkable
 class Build(Protocol):
     def __call__(self, n_lanes: int, parameters: Parameters, /) -> Any:
-        """Return a pgmpy `DynamicBayesianNetwork` with a node Lane of `n_lanes` values."""
+        """Return a pgmpy `DynamicBayesianNetwork` with a node Lane of `n_lanes` values.
+
+        `declare` of `egolane_pgm.cpds` makes one from tables, with a virtual-evidence node for each
+        observed key. Missing ones are added, with a warning.
+        """
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Graph(Plugin):
-    """A graph: its tables, and the role of each node. It needs `tables` or `build`.
+    """A graph: its tables, and the role of each node.
 
-    - tables: the tables for a number of lanes and parameters.
-    - build: a pgmpy network instead.
-    - hidden: nodes with a posterior; by default Lane and all that are neither observed nor inputs.
-    - observed: nodes, or tuples of nodes, with evidence; by default all that the rule has evidence
-      for.
+    It needs `build`, or `tables` with `hidden` and `observed`.
+
+    - tables: the tables for a number of lanes and values of the parameters.
+    - build: a pgmpy network in place of tables.
+    - hidden: nodes with a posterior; by default Lane and all others without evidence or input.
+    - observed: nodes, or tuples of nodes, with evidence; by default all for which the rule has
+      evidence.
     - inputs: nodes without parents whose value is known in every frame.
-    - bounds: for inputs that are columns of the recording, the bounds between their values.
-    - unused: evidence of the rule that the graph ignores.
-    - values: names of the values of nodes; by default numbers, those of lanes from 1.
-    - learned_from: what fitted tables were trained on, see `identity.Origin`; None without a fit.
+    - bounds: for each input that is a column of the recording, the increasing bounds between its
+      values: k bounds for k + 1 values.
+    - unused: keys of the rule's evidence that the graph ignores.
+    - values: names of the values of each node; by default numbers, of lanes from 1, of others from
+      0.
+    - learned_from: the training frames of fitted tables, or a value of `tuned_on`, as `egolane
+      learn` writes it; None if the tables are not fitted.
     - keys: the content of a graph in YAML.
     """
 
@@ -109,21 +120,25 @@ class Graph(Plugin):
 @runtime_checkable
 class MakeEvidence(Protocol):
     def __call__(self, log: LineLog, n_lanes: int, parameters: Parameters, /) -> Evidence:
-        """Return the evidence of the T frames of a log.
+        """Return the evidence of a drive.
 
-        The likelihoods of each key are (T, k), of a tuple of nodes (T, k1, k2, ...).
+        - log: its lines, T frames of at most L lines: `offset_m` (T, L), metres, negative on the
+          left, NaN for padding; `is_valid`, `is_continuous`, `lri` (T, L).
+
+        The likelihoods of a node of k values are (T, k), of a tuple of nodes (T, k1, k2, ...); a
+        row of equal numbers is a frame without evidence.
         """
 
 
 @runtime_checkable
 class Online(Protocol):
     def __call__(self, n_lanes: int, parameters: Parameters, /) -> RuleStep:
-        """Return a function from the next frames of a drive to their evidence; it has a memory."""
+        """Start a drive; return a function that remembers its earlier frames."""
 
 
 class RuleStep(Protocol):
     def __call__(self, log: LineLog, /) -> Evidence:
-        """Return the evidence of the next frames."""
+        """Return the evidence of the next T frames, with the shapes of `evidence`."""
 
 
 @runtime_checkable
@@ -137,7 +152,11 @@ class FitRule(Protocol):
     def __call__(
         self, recordings: Sequence[Marked], n_lanes: int, parameters: Parameters, /
     ) -> Mapping[str, Value]:
-        """Learn parameters of these names from recordings with known lanes."""
+        """Learn parameters from recordings with known lanes; return values by name.
+
+        - recordings: for each, its lines (T frames), its lanes (T,), from 1, and whether to learn
+          from each frame (T,).
+        """
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -146,12 +165,13 @@ class Rule(Plugin):
 
     - evidence: the evidence of a whole drive.
     - provides: keys of its likelihoods: nodes, or tuples of nodes observed jointly.
-    - inputs: input nodes that it gives a value.
-    - tentative: the node whose evidence is an answer of its own, scored as "detector".
-    - online: the rule for frames as they come, if it has a memory.
-    - looks_ahead: why it is not causal, if it is not.
-    - fit: learns the parameters `learned` from labels.
-    - learned: names of these parameters.
+    - inputs: input nodes for which it has values.
+    - tentative: the node whose evidence alone is an answer, scored as "detector".
+    - online: the rule frame by frame, for a rule that remembers earlier frames; by default
+      `evidence` of each frame.
+    - looks_ahead: the reason if it is not causal.
+    - fit: the learning of parameters from labels.
+    - learned: names of the parameters that `fit` learns.
     """
 
     folder = "evidence"
@@ -173,12 +193,15 @@ class Rule(Plugin):
 @runtime_checkable
 class Start(Protocol):
     def __call__(self, camera: Camera, parameters: Parameters, /) -> DetectorStep:
-        """Prepare the first picture of a drive; return a function that takes each in turn."""
+        """Start a drive; return a function that is called with each picture in turn."""
 
 
 class DetectorStep(Protocol):
     def __call__(self, picture: Picture, /) -> FrameLines:
-        """Return the lines in a picture, whose pixels are (height, width, 3), uint8, BGR."""
+        """Return the lines in a picture, from left to right.
+
+        Its `image` is (height, width, 3), uint8, BGR; so is `right`, of a second camera.
+        """
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -186,7 +209,7 @@ class Detector(Plugin):
     """A detector: the lines in each picture of a drive.
 
     - stereo: whether it needs the pictures of two cameras.
-    - start: makes the function from a picture to its lines.
+    - start: the start of a drive, before its first picture.
     """
 
     folder = "detectors"
@@ -201,16 +224,18 @@ class Read(Protocol):
     def __call__(self, path: Any, /, **options: Any) -> LineLog | pd.DataFrame:
         """Read the file or folder at a path (`pathlib.Path`).
 
-        Options come from the YAML: `camera`, `topic` and `frame_rate` if they are given, and all of
-        `recording.options`.
+        - options: keyword arguments from the YAML: `frame_rate`, Hz; `camera` and `topic` if they
+          are given; the keys of `recording.options`.
+
+        Return a `LineLog`, or a DataFrame with the columns of a recording in a table.
         """
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Reader(Plugin):
-    """A reader of recordings in a format of its own.
+    """A reader of recordings in another format.
 
-    - read: the lines of a file, as a LineLog or as a table with the columns of a recording.
+    - read: the lines of a file or folder.
     """
 
     folder = "recordings"

@@ -30,6 +30,7 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.columns import COLUMNS as COLUMNS_OF_LINES
+from egolane_pgm.recordings.columns import Column, checked
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
@@ -311,7 +312,7 @@ def _read_result(place: Path) -> Result:
             raise ValueError("run.json and scores.json need keys and values")
         if "identity" not in run:
             raise InputError(f"{place}: was written by another version; run the experiment again")
-        frames = read_parquet(place / "beliefs.parquet")
+        frames = _read_frames(place / "beliefs.parquet", run)
         if len(frames) != run["frames"]:
             raise ValueError(f"beliefs.parquet has {len(frames)} of {run['frames']} frames")
         experiment = load_experiment(place / "experiment.yaml")
@@ -321,6 +322,23 @@ def _read_result(place: Path) -> Result:
     except (ValueError, KeyError, OSError) as error:
         why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputError(f"{place}: is damaged ({why}); run the experiment again") from error
+
+
+def _read_frames(file: Path, run: Mapping[str, Any]) -> pd.DataFrame:
+    """The table of frames, with its columns checked."""
+    declared = {
+        "frame_id": Column("whole", is_needed=True, is_full=True),
+        "time_s": Column("time", is_needed=True, is_full=True),
+        "assigned_lane": Column("whole", is_needed=True, is_full=True),
+        "detector_lane": Column("whole", is_full=True),
+        "log_evidence": Column(is_needed=True),
+        "is_impossible": Column("flag", is_needed=True, is_full=True),
+        "true_lane": Column("whole"),
+        "is_crossing": Column("flag"),
+        "is_trusted": Column("flag"),
+    }
+    declared |= {f"Lane_{k + 1}": Column(is_needed=True) for k in range(run["n_lanes"])}
+    return checked(read_parquet(file), declared, str(file)).set_index("frame_id")
 
 
 def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:

@@ -34,11 +34,11 @@ from egolane_pgm.loading import (
     safe_name,
 )
 from egolane_pgm.model import compile_model, with_graph
-from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.recordings.columns import column_keys, plain
 from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools import options
-from egolane_pgm.tools.files import make_directory, write_parquet
+from egolane_pgm.tools.files import atomic, make_directory
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.options import Option, StrPath, place_of
 from egolane_pgm.tools.progress import bar
@@ -336,9 +336,10 @@ def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[s
     Raises InputError for an unknown column and for a table without rows.
     """
     if isinstance(table, pd.DataFrame):
-        cells, folder, where = table, Path.cwd(), "table"
+        cells, folder, where = plain(table, "table"), Path.cwd(), "table"
     else:
-        cells, folder, where = _read_csv(Path(table)), Path(table).absolute().parent, str(table)
+        cells = plain(_read_csv(Path(table)), str(table))
+        folder, where = Path(table).absolute().parent, str(table)
     for column in map(str, cells):
         if not column.startswith(TAG) and column.split(".")[0] not in Experiment.model_fields:
             hint = suggestion(column, Experiment.model_fields)
@@ -421,13 +422,14 @@ def run_table(
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
     done = list(bar(rows, total=len(inputs), unit="run"))
-    summary = pd.DataFrame(done)
+    summary = pd.DataFrame(done).set_index("name")
     try:
-        write_parquet(folder / SUMMARY, summary)
+        with atomic(folder / SUMMARY) as temporary:
+            summary.to_parquet(temporary)
     except InputError as error:
         # The reasons of rows that failed are still returned.
         warnings.warn(str(error), UserWarning, stacklevel=2)
-    return summary.set_index("name")
+    return summary
 
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:

@@ -69,8 +69,14 @@ class InputError(ValueError):
 
 def in_one_line(problem: object) -> str:
     """Format a problem as one printable line."""
-    text = " ".join(line.strip() for line in str(problem).splitlines())
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return printable(" ".join(line.strip() for line in str(problem).splitlines()))
+
+
+def printable(text: str) -> str:
+    """Escape characters that a terminal takes for commands; lines stay."""
+    return "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text
+    )
 
 
 @contextlib.contextmanager

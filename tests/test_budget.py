@@ -10,15 +10,15 @@ import pytest
 
 SCRIPT = Path(__file__).parents[1] / ".ci" / "budget"
 
-#: A project with 2 lines in a folder, 1 in a file, 1 in the tests, 3 in makers, and 2 words.
+#: A project with 6 tokens in a folder, 3 in a file, 3 in the tests, 9 in makers, and 2 words.
 FILES = {
-    "egolane_pgm/views/deep/table.py": "a = 1\nb = 2\n",
+    "egolane_pgm/views/deep/table.py": '"""About it."""\n\na = 1  # one\n\n\nb = 2\n',
     "egolane_pgm/types.py": "a = 1\n",
     "tests/test_a.py": "a = 1\n",
     "makers/a.py": "a = 1\n" * 3,
     "docs/a.md": "two words\n",
 }
-FITTING = {"views": 2, '"types.py"': 25, "tests": 1, "makers": 3, "words": 2}
+FITTING = {"views": 6, '"types.py"': 25, "tests": 3, "makers": 9, "words": 2}
 
 
 def check(root: Path, budget: dict[str, int]) -> tuple[int, list[str]]:
@@ -41,10 +41,10 @@ def test_rooms_within_their_budgets_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("budget", "message"),
     [
-        ({**FITTING, "views": 1}, "views: 2 lines, the budget is 1: take 1 out"),
+        ({**FITTING, "views": 5}, "views: 6 tokens, the budget is 5: take 1 out"),
         ({**FITTING, "words": 0}, "words: 2 words, the budget is 0: take 2 out"),
         ({**FITTING, "maps": 25}, "maps: has a budget but no longer exists"),
-        ({k: FITTING[k] for k in FITTING if k != "tests"}, "tests: 1 lines, no budget"),
+        ({k: FITTING[k] for k in FITTING if k != "tests"}, "tests: 3 tokens, no budget"),
     ],
 )
 def test_a_room_without_its_budget_is_named(

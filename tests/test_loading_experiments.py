@@ -127,7 +127,7 @@ def test_the_model_of_an_experiment_is_put_on_other_lines(tmp_path: Path) -> Non
     new = load_experiment(old, {"recording.format": "table"}, lines=lines)
     # Nothing of the old recording is left.
     assert new.recording.model_dump(exclude_unset=True) == {"path": lines, "format": "table"}
-    assert (new.ground_truth, new.tuned_on) == (None, "other_frames")
+    assert (new.ground_truth, new.tuned_on) == (None, "unknown")
     assert (new.parameters, new.n_lanes) == ({"sigma1": 0.3}, 3)
     assert load_experiment(old, lines="/d/a.bag").tuned_on == "same_frames"
     in_memory = load_experiment("zero_label", lines=object(), n_lanes=2)

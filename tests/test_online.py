@@ -111,7 +111,7 @@ def frame(frame_id: object = 7, **line: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("{", "message 3: is not JSON"),
         ("[]", "message 3: needs keys and values"),
@@ -127,13 +127,13 @@ def frame(frame_id: object = 7, **line: object) -> str:
     ],
 )
 def test_a_message_that_cannot_be_used_is_named_after_the_answers_before_it(
-    experiment: Experiment, text: str, said: str
+    experiment: Experiment, text: str, message: str
 ) -> None:
     answers = online(experiment, read_messages(experiment, [frame(5), frame(6), text]))
     assert [next(answers)["frame_id"] for _ in range(2)] == [5, 6]
     with pytest.raises(InputError) as info:
         next(answers)
-    assert said in str(info.value)
+    assert message in str(info.value)
     assert "\n" not in str(info.value)
 
 

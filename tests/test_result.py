@@ -27,7 +27,6 @@ from egolane_pgm.result import (
     Result,
     by_drive,
     check_writable,
-    is_result,
     lanes_of,
     load_result,
     make_result,
@@ -333,21 +332,22 @@ def test_new_empty_and_earlier_directories_are_written_only(saved: Path, tmp_pat
         check_writable(copy / "run.json")
 
 
-def test_run_json_is_written_last_and_removed_first(
+def test_a_result_that_cannot_be_written_leaves_the_older_one(
     result: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = result.save(tmp_path / "result")
+    place = result.save(tmp_path / "result", figures=True)
     (place / "notes.txt").write_text("mine")
     before = contents(place)
 
     def fails(*_: Any, **__: Any) -> None:
-        assert not (place / "run.json").exists()
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr(pd.DataFrame, "to_parquet", fails)
         with pytest.raises(InputError, match="result: cannot be written: No space left on device"):
             result.save(place)
-    assert not is_result(place)
-    result.save(place)
     assert contents(place) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["result"]
+    result.save(place)
+    # A picture of another run does not stay.
+    assert contents(place) == {k: v for k, v in before.items() if "strips" not in str(k)}

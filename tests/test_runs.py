@@ -99,7 +99,7 @@ def test_a_row_changes_the_keys_that_it_names(tmp_path: Path) -> None:
     text = "recording.seed,n_lanes,parameters.sigma1,parameters.p3,tag.driver\n"
     path = table(tmp_path, text + '7,3,0.2,"[0.6, 0.6, 0.7]",anna\n8,,,,\n')
     base = load_experiment("quickstart")
-    first, second = table_inputs("quickstart", path, {"filter": "exact"})
+    first, second = table_inputs({**base.keys, "filter": "exact"}, path)
     one, other = first.experiment, second.experiment
     assert (one.name, one.recording.seed, one.n_lanes) == ("quickstart_1", 7, 3)
     assert one.parameters["p3"] == (0.6, 0.6, 0.7)
@@ -120,7 +120,7 @@ def test_a_row_with_another_recording_drops_the_keys_of_the_old_drive(tmp_path: 
     assert other.recording.frames == (0, 60)
     assert other.ground_truth is not None
     assert other.ground_truth.path == str(tmp_path / "b.txt")
-    assert (other.tuned_on, same.tuned_on) == ("other_frames", "same_frames")
+    assert (other.tuned_on, same.tuned_on) == ("unknown", "same_frames")
     assert (same.recording.frames, same.ground_truth) == (None, None)
 
 
@@ -153,7 +153,8 @@ def test_a_table_that_does_not_fit_is_refused_in_one_line(
 
 
 def summary(path: Path, out: Path, overrides: Any = None, **options: Any) -> pd.DataFrame:
-    return run_table(table_inputs("quickstart", path, overrides), out, **options)
+    base = load_experiment("quickstart", overrides)
+    return run_table(table_inputs(base, path), out, **options)
 
 
 def test_processes_write_the_same_summary_as_one(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def as_markdown(text: str) -> str:
 
 
 class Docstrings(griffe.Extension):
-    """Lets mkdocstrings show docstrings as `as_markdown` has them."""
+    """Turn docstrings into Markdown for mkdocstrings."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring:

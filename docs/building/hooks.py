@@ -1,8 +1,8 @@
-"""What mkdocs does not do by itself: pages from outside docs/.
+"""Hooks of mkdocs: pages from outside docs/.
 
-Whatever a page links to is part of the site: Markdown files and notebooks (as they are kept, not
-executed) are pages, pictures are copied, and other files of text are shown as they are. So one
-relative link is right where the file is read, and on the site.
+The site has every file that a page links to: Markdown files and notebooks (with their kept outputs)
+as pages, pictures as copies, other files of text as source. So one relative link is right in the
+repository and on the site. A link to the contracts of plugins leads to their page of the reference.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from nbconvert import MarkdownExporter
 
 ROOT = Path(__file__).parents[2]
 PICTURES = {".png", ".jpg", ".svg", ".gif"}
-#: The search finds what explains before what is explained.
+#: The search finds pages before sources.
 LESS_SOUGHT = "---\nsearch: {boost: 0.1}\n---\n"
 LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the reference, and what the pages and the navigation name outside docs/."""
+    """Add the reference, and the files outside docs/ that pages and the navigation name."""
     for name, content in reference.pages().items():
         files.append(File.generated(config, name, content=content))
     waiting = [ROOT / "README.md"]
@@ -47,7 +47,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, **_: Any) -> str:
-    """Turn the links of a page to where the site has what they name."""
+    """Turn the links of a page to the places of their files on the site."""
     path = origin(page.file.src_uri)
 
     def turned(found: re.Match[str]) -> str:
@@ -71,10 +71,12 @@ def named(nav: Any) -> Iterator[str]:
 
 
 def place(path: Path) -> str:
-    """Where the site has a file of the repository."""
+    """The place of a file of the repository on the site."""
     name = path.relative_to(ROOT)
     if name == Path("README.md"):
         return "index.md"
+    if name == Path("egolane_pgm/contracts.py"):
+        return "reference/plugins.md"
     if name.parts[0] == "docs":
         name = name.relative_to("docs")
     if path.suffix == ".ipynb":
@@ -85,13 +87,13 @@ def place(path: Path) -> str:
 
 
 def origin(uri: str) -> Path:
-    """The file of the repository from which a page was made."""
+    """The file of the repository for a page of the site."""
     inside = ROOT / "docs" / uri
     return inside if inside.exists() else ROOT / uri.replace("index.md", "README.md")
 
 
 def target_of(path: Path, link: str) -> Path | None:
-    """The file of the repository that a link of a file names; None for none."""
+    """The file of the repository that a link of a file names, or None."""
     goal = Path(os.path.normpath(path.parent / link))
     return goal if goal.is_file() and goal.is_relative_to(ROOT) else None
 
@@ -105,7 +107,7 @@ def linked(path: Path) -> Iterator[Path]:
 
 
 def contents(path: Path) -> dict[str, str | bytes]:
-    """What the site shows of a file, by its place; of a notebook, its pictures too."""
+    """The content of the site for a file, by place; a notebook has its pictures, too."""
     if path.suffix == ".ipynb":
         return notebook(path)
     if path.suffix == ".md":
@@ -124,7 +126,7 @@ def notebook(path: Path) -> dict[str, str | bytes]:
     pictures = resources["outputs"]
     for name in pictures:
         body = body.replace(f"]({name})", f"]({page.stem}_{name})")
-    # Tables by pandas look as the site's own, and scroll where they are wide.
+    # Tables by pandas look like those of the site, and wide ones scroll.
     body = re.sub(r"<style scoped>.*?</style>", "", body, flags=re.S)
     body = re.sub(r'<table border="1" class="dataframe">', "<table>", body)
     named_so = {

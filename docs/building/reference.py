@@ -1,7 +1,7 @@
-"""The pages of the reference, made from the code when the site is built: nothing of them is kept.
+"""The pages of the reference, made from the code when the site is built. They are not kept.
 
-The text stands where a thing is declared: a key's in its `Field`, a parameter's in its
-`Parameter`, a command's in its docstring and options, a column's beside its reader.
+Their text is in the declarations: of a key in its `Field`, of a parameter in its `Parameter`, of a
+command in its docstring and options, of a column in its reader, of a plugin in its contract.
 """
 
 from __future__ import annotations
@@ -11,16 +11,19 @@ import inspect
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_type_hints
 
 import click
 import yaml
 from docstrings import as_markdown
+from typing_extensions import is_protocol
 
 import egolane_pgm
-from egolane_pgm import result
+from egolane_pgm import contracts, plugins, result
 from egolane_pgm.command import COMMANDS, egolane
+from egolane_pgm.contracts import Detector, Graph, Plugin, Reader, Rule
 from egolane_pgm.graphs import yaml_graph
 from egolane_pgm.inference import events
 from egolane_pgm.maps import positions, road_table
@@ -32,6 +35,8 @@ from egolane_pgm.verbs.schema import schema as json_schema
 from egolane_pgm.verbs.show import compile_defaults
 from egolane_pgm.views.description import describe_detector, describe_graph, describe_rule
 from egolane_pgm.vision.camera import model as camera
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import FrameLines
 from egolane_pgm.vision.detectors.networks.description import Network
 
 #: The functions that compute scores, by module, in the order of the page.
@@ -45,9 +50,10 @@ def pages() -> dict[str, str]:
         "reference/yaml.md": yaml_page(),
         "reference/recordings.md": recordings_page(),
         "reference/commands.md": commands_page(),
-        "reference/graphs.md": plugins_page("graphs"),
-        "reference/evidence.md": plugins_page("evidence"),
-        "reference/detectors.md": plugins_page("detectors"),
+        "reference/plugins.md": contracts_page(),
+        "reference/graphs.md": plugins_page(Graph),
+        "reference/evidence.md": plugins_page(Rule),
+        "reference/detectors.md": plugins_page(Detector),
         "reference/metrics.md": metrics_page(),
         "reference/results.md": results_page(),
         "reference/python.md": python_page(),
@@ -63,7 +69,7 @@ def experiment_page() -> str:
         [
             "# Keys of an experiment",
             "An experiment is a YAML file. Unknown keys are refused, with a suggestion; `egolane"
-            " run FILE --dry-run` says what is wrong with one. Any key can be changed"
+            " run FILE --dry-run` checks one. Any key can be changed"
             " on the command line, `--set parameters.sigma1=0.3`. Paths are relative to the YAML.",
             "An editor with YAML's language server (VS Code with its YAML extension, Neovim,"
             " JetBrains, ...) completes and checks the keys of a file whose first line names the"
@@ -100,18 +106,17 @@ def yaml_page() -> str:
         [
             "# Keys of the other YAML files",
             "## A tuning file",
-            "What `egolane tune FILE` takes: several experiments. Its schema"
-            " is printed by `egolane show schema:tuning`; the section `tuning` is that of"
-            " [an experiment](experiment.md#tuning).",
+            "Several experiments for `egolane tune FILE`. `egolane show schema:tuning` prints its"
+            " schema; `fit` has the keys of [an experiment's](experiment.md#fit-settings).",
             keys_table(tuning, {}),
             "## A camera",
-            "What `camera:` and `--camera` name; `egolane calibrate` writes one.",
+            "The file for `camera:` and `--camera`; `egolane calibrate` writes one.",
             markdown(["key", "range", "default", "meaning"], rows),
             "## A graph in YAML",
-            "What `graph: ./my_graph.yaml` names; `egolane learn` writes one.",
+            "The file for `graph: ./my_graph.yaml`; `egolane learn` writes one.",
             as_markdown(inspect.getdoc(yaml_graph) or ""),
             "## A lane network",
-            "What the detector `network` takes (`--set network=net.yaml`).",
+            "The file for the detector `network` (`--set network=net.yaml`).",
             as_markdown(inspect.getdoc(Network) or ""),
         ]
     )
@@ -157,14 +162,14 @@ def keys_table(section: Mapping[str, Any], definitions: Mapping[str, Any]) -> st
 
 
 def needed_keys(section: Mapping[str, Any]) -> list[str]:
-    """The keys without which a section is not whole."""
+    """The required keys of a section."""
     if "then" in section:
         return [*section["if"]["required"], *section["then"]["anyOf"][0]["required"]]
     return list(section.get("required", ()))
 
 
 def as_default(key: Mapping[str, Any]) -> str:
-    """The default of a key; nothing where it is simply left out."""
+    """The default of a key; empty for a key that is left out."""
     default = key.get("default")
     return "" if default in (None, [], "") else as_code(default)
 
@@ -190,7 +195,7 @@ def kind_of(key: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
         if "prefixItems" in key:
             parts = [kind_of(each, definitions) for each in key["prefixItems"]]
             return f"[{', '.join(parts)}]"
-        return f"list of {kind_of(key.get('items', {}), definitions)}"
+        return f"list of {kind_of(key['items'], definitions)}" if "items" in key else "list"
     words = {
         "integer": "whole number",
         "number": "number",
@@ -296,7 +301,7 @@ def command_parts(command: click.Command, parent: click.Context, name: str) -> I
 
 
 def help_text(text: str) -> str:
-    """A help text as Markdown: what click leaves as it is (after a line of `\\b`) is code."""
+    """A help text as Markdown: a paragraph after a line of `\\b`, which click keeps, is code."""
     paragraphs = []
     for paragraph in inspect.cleandoc(text).split("\n\n"):
         if paragraph.startswith("\b\n"):
@@ -306,43 +311,126 @@ def help_text(text: str) -> str:
     return "\n\n".join(paragraphs)
 
 
+# --- contracts of plugins ------------------------------------------------------------------------
+
+#: An example of each kind of plugin, a file of the repository, and the keys that name a plugin.
+EXAMPLES: dict[type[Plugin], tuple[str, str]] = {
+    Graph: ("examples/my_graph.py", "`graph:` or `--graph`"),
+    Rule: ("examples/my_evidence.py", "`evidence:`"),
+    Detector: ("examples/my_detector.py", "`recording.detector:` or `--detector`"),
+    Reader: ("examples/readers/polynomials.py", "`recording.format:`"),
+}
+
+#: Types of arguments and values that the page of Python does not have.
+TYPES = (Picture, FrameLines, camera.road_to_image)
+
+
+def contracts_page() -> str:
+    """Fields, functions and an example of each kind of plugin."""
+    parts = [
+        "# Plugins",
+        *inspect.cleandoc(contracts.__doc__ or "").split("\n\n")[1:],
+        "A name in capitals that is close to a field's is refused with a suggestion; all others are"
+        " ignored. Names of arguments are free. `parameters` maps the names of `PARAMETERS` to"
+        " checked values. `egolane show FILE` describes a graph, a rule or a detector;"
+        " `egolane run FILE.yaml --dry-run` checks all that the YAML names.",
+        "`Parameter`, `LineLog`, `Evidence` and `cpds` are on the page [Python](python.md), the"
+        " columns of a recording in [recordings](recordings.md), the fields of a `Camera` in [other"
+        " YAML files](yaml.md#a-camera), `Picture` and `FrameLines` [below](#types).",
+    ]
+    for kind, (example, keys) in EXAMPLES.items():
+        summary = (inspect.getdoc(kind) or "").split("\n\n- ")[0]
+        parts += [f"## {kind.__name__}", summary, f"Its name goes into {keys}.", fields_table(kind)]
+        for function, protocol in plugins._protocols(kind).items():
+            parts += [f"### {function}", *signature_parts(function, protocol)]
+        source = (Path(__file__).parents[2] / example).read_text()
+        parts += [f"### Example: {example}", f"````python\n{source}````"]
+    options = {"heading_level": 3, "show_docstring_attributes": False, "members": False}
+    names = [f"{each.__module__}.{each.__qualname__}" for each in TYPES]
+    parts += ["## Types", *(identifier(name, options) for name in names)]
+    return "\n\n".join(parts)
+
+
+def fields_table(kind: type[Plugin]) -> str:
+    """The names that a module of a kind of plugin may define."""
+    functions, hints = plugins._protocols(kind), get_type_hints(kind)
+    meaning = listed(inspect.getdoc(Plugin) or "") | listed(inspect.getdoc(kind) or "")
+    rows = []
+    for field in dataclasses.fields(kind):
+        if field.name in plugins._OF_FILE:
+            continue
+        is_function = field.name in functions
+        name = field.name if is_function else field.name.upper()
+        hint = f"[function](#{field.name})" if is_function else f"`{type_text(hints[field.name])}`"
+        needed = "needed" if field.default is dataclasses.MISSING else "optional"
+        rows.append([f"`{name}`", hint, needed, escaped(meaning[field.name])])
+    return markdown(["name in the module", "type", "", "meaning"], rows)
+
+
+def type_text(hint: Any) -> str:
+    """A type without modules; optional ones without None."""
+    text = hint.__name__ if isinstance(hint, type) and not hasattr(hint, "__args__") else str(hint)
+    text = re.sub(r"\b[a-z_]+(\.[a-z_]+)*\.(?=[A-Z])", "", text)
+    return text.removesuffix(" | None")
+
+
+def signature_parts(name: str, protocol: Any) -> Iterator[str]:
+    """The signature of a function of a protocol, its docstring, and the function it returns."""
+    signature = inspect.signature(protocol.__call__)
+    parameters = [each for key, each in signature.parameters.items() if key != "self"]
+    plain = [
+        each.replace(kind=each.POSITIONAL_OR_KEYWORD) if each.kind is each.POSITIONAL_ONLY else each
+        for each in parameters
+    ]
+    text = str(signature.replace(parameters=plain)).replace("'", "")
+    yield f"```python\ndef {name}{text}\n```"
+    yield as_markdown(inspect.getdoc(protocol.__call__) or "")
+    returned = vars(contracts).get(str(signature.return_annotation))
+    if returned is not None and is_protocol(returned):
+        yield "The function that it returns:"
+        yield from signature_parts("step", returned)
+
+
 # --- graphs, evidence rules, detectors -----------------------------------------------------------
 
-_INTRODUCTIONS = {
-    "graphs": (
+_INTRODUCTIONS: dict[type[Plugin], tuple[str, str]] = {
+    Graph: (
         "# Graphs",
-        "What `graph:` names. Tables and sizes are those of three lanes and of the default values;"
+        "The names for `graph:`. Tables and sizes are for three lanes and default values;"
         " `egolane show GRAPH --numbers` prints the numbers. A search moves a parameter within its"
-        " range; `fit.parameters` gives it another one.",
+        " range; `fit.parameters` gives it another one. [Plugins](plugins.md#graph) documents a"
+        " graph of your own.",
     ),
-    "evidence": (
+    Rule: (
         "# Evidence rules",
-        "What `evidence:` names: how the lines of a frame become likelihoods of the graph's"
-        " observed nodes.",
+        "The names for `evidence:`. A rule turns the lines of a frame into likelihoods of the"
+        " graph's observed nodes. [Plugins](plugins.md#rule) documents a rule of your own.",
     ),
-    "detectors": (
+    Detector: (
         "# Detectors",
-        "What `recording.detector` and `--detector` name: how lines are found in pictures.",
+        "The names for `recording.detector` and `--detector`. A detector finds lines in pictures."
+        " [Plugins](plugins.md#detector) documents a detector of your own.",
     ),
 }
 
 
-def plugins_page(folder: str) -> str:
-    """What `egolane show` knows of each plugin of a folder."""
-    parts = list(_INTRODUCTIONS[folder])
-    for name in plugin_names(folder):
-        module = load_plugin(folder, name, folder)
+def plugins_page(kind: type[Plugin]) -> str:
+    """The description, as by `egolane show`, of each plugin of a kind."""
+    parts = list(_INTRODUCTIONS[kind])
+    for name in plugin_names(kind):
+        plugin = load_plugin(kind, name, kind.folder)
         parts.append(f"## {name}")
-        if folder == "graphs":
-            compiled = compile_defaults(name, module, 3)
-            found = describe_graph(module, compiled, numbers=False)
+        if isinstance(plugin, Graph):
+            compiled = compile_defaults(name, plugin, 3)
+            found = describe_graph(plugin, compiled, numbers=False)
             parts += [as_markdown(found["about"]), *graph_parts(found)]
-        elif folder == "evidence":
-            defaults = resolve_parameters(getattr(module, "PARAMETERS", ()), {}, 3)
-            found = describe_rule(module, defaults)
+        elif isinstance(plugin, Rule):
+            defaults = resolve_parameters(plugin.parameters, {}, 3)
+            found = describe_rule(plugin, defaults)
             parts += [as_markdown(found["about"]), *rule_parts(found)]
         else:
-            found = describe_detector(module)
+            assert isinstance(plugin, Detector)
+            found = describe_detector(plugin)
             cameras = "two, as a stereo pair" if found["stereo"] else "one"
             parts += [as_markdown(found["about"]), f"Cameras: {cameras}."]
         parts.append(parameters_table(found["parameters"]))
@@ -457,7 +545,7 @@ def public_members(kind: type) -> list[str]:
 
 
 def identifier(path: str, options: Mapping[str, Any]) -> str:
-    """What mkdocstrings makes of an object."""
+    """The directive of mkdocstrings for an object."""
     lines = yaml.safe_dump({"options": dict(options)}, sort_keys=False).splitlines()
     return "\n".join([f"::: {path}", *(f"    {line}" for line in lines)])
 
@@ -468,6 +556,8 @@ def results_page() -> str:
         [
             "# Result directories",
             as_markdown(about(result)),
+            "experiment.yaml names a copy of your own graph or rule. graph.yaml is a graph that was"
+            " fitted or in memory. So a loaded result has the same model.",
             "## beliefs.parquet",
             "A row per frame, `Result.frames`; the index is `frame_id`. Columns with a `?` are not"
             " always there.",
@@ -481,7 +571,7 @@ def results_page() -> str:
             " lane changes (`events`).",
             "## run.json",
             "Provenance: the experiment with all defaults (`config`), files with checksums"
-            " (`data`), versions, git commit, warnings, and whether the result is causal.",
+            " (`data`), versions, git commit, warnings, `tuned_on` and `is_causal`.",
         ]
     )
 
@@ -496,7 +586,7 @@ def meanings(columns: Mapping[str, str]) -> str:
 
 
 def about(module: ModuleType | None) -> str:
-    """What a module says of itself."""
+    """The docstring of a module."""
     return inspect.getdoc(module) or ""
 
 
@@ -511,7 +601,7 @@ def listed(docstring: str) -> dict[str, str]:
 
 
 def escaped(text: str) -> str:
-    """Text in which `<` and `*` are what they are, outside of code."""
+    """Text with `<`, `*` and other marks of Markdown escaped, outside of code."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(
         part if part.startswith("`") else re.sub(r"([<*_\[\]|])", r"\\\1", part) for part in parts
@@ -519,7 +609,7 @@ def escaped(text: str) -> str:
 
 
 def as_code(value: Any) -> str:
-    """A value as one writes it in YAML."""
+    """A value in YAML."""
     return f"`{flow(value)}`"
 
 

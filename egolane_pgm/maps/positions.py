@@ -34,6 +34,9 @@ COLUMNS = {
 #: have the dilution only.
 SIGMA_PER_HDOP_M = 3.0
 
+#: The columns that a table must have.
+NEEDED = ("t_s", "latitude", "longitude")
+
 #: Metres per second.
 _KNOT = 0.514444
 
@@ -151,20 +154,16 @@ def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None
 
 def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
     # pyarrow is imported for tables only.
-    from egolane_pgm.recordings.columns import to_numbers, to_seconds
+    from egolane_pgm.recordings.columns import Column, checked
     from egolane_pgm.recordings.table import read_columns
 
-    table = read_columns(path)
-    values: dict[str, Any] = {}
-    for ours, usual in COLUMNS.items():
-        theirs = columns.get(ours) or next((name for name in usual if name in table), "")
-        if theirs in table:
-            read = to_seconds if ours == "t_s" else to_numbers
-            values[ours] = read(path, ours, table[theirs], theirs)
-        elif theirs or ours in ("t_s", "latitude", "longitude"):
-            there = ", ".join(table)
-            raise InputError(f"{path}: no column {theirs or ours}; the table has {there or 'none'}")
-    return Positions.make(**values, source=str(path))
+    declared = {
+        ours: Column("time" if ours == "t_s" else "number", ours in NEEDED, others=tuple(others))
+        for ours, (_, *others) in COLUMNS.items()
+    }
+    table = checked(read_columns(path), declared, str(path), columns)
+    known = {name: table[name].to_numpy() for name in COLUMNS if name in table}
+    return Positions.make(**known, source=str(path))
 
 
 def _read_gpx(path: Path, columns: Mapping[str, str]) -> Positions:

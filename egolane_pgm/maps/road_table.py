@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.recordings.columns import Column, checked
 from egolane_pgm.tools.files import read_parquet, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 
@@ -27,6 +28,14 @@ COLUMNS = {
 }
 
 
+_DECLARED = {
+    name: Column(kind, is_needed=True, is_full=name not in ("along_m", "offset_m"))
+    for name, kind in zip(
+        COLUMNS, ("time", "whole", "number", "number", "number", "whole", "whole"), strict=True
+    )
+}
+
+
 def save(table: pd.DataFrame, path: str | Path) -> None:
     """Write a road table. Raises InputError if it cannot be written."""
     frame = table[[*COLUMNS]].copy()
@@ -36,13 +45,12 @@ def save(table: pd.DataFrame, path: str | Path) -> None:
 
 def load(path: str | Path) -> pd.DataFrame:
     """Read a road table. Raises InputError for another file."""
-    table = read_parquet(Path(path))
-    missing = [name for name in COLUMNS if name not in table]
-    if missing:
+    try:
+        table = checked(read_parquet(Path(path)), _DECLARED, str(path))
+    except InputError as error:
         raise InputError(
-            f"{path}: is not a road table, it has no column {missing[0]};"
-            f" `egolane locate MAP POSITIONS -o {path}` writes one"
-        )
+            f"{error}; not a road table, which `egolane locate MAP POSITIONS -o {path}` writes"
+        ) from None
     table.attrs["source"] = str(path)
     return table
 

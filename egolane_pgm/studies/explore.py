@@ -49,7 +49,7 @@ from egolane_pgm.studies.structures import (
     with_node,
     with_structure,
 )
-from egolane_pgm.studies.study import Fold, everything, training_of_fold
+from egolane_pgm.studies.study import Fold, check_trained, everything, training_of_fold
 from egolane_pgm.tools.files import write_text, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.kept import kept_tables
@@ -155,6 +155,8 @@ def make_problem(
     is_scored = [(drive.true_lane[~drive.is_crossing] > 0).any() for drive in drives]
     if judge not in _OF_LINES and not all(is_scored):
         raise InputError(f"judge: {judge} needs ground truth; or take log_evidence or bic")
+    for number, fold in enumerate(folds):
+        check_trained(fold, number)
     learnable_nodes(model)
     start = start_of_learning(model).compiled
     tables = list(start.tables.values())

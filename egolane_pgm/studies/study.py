@@ -142,15 +142,21 @@ def fit_fold(
     """
     number, fold = numbered
     used = [k for k, train in enumerate(fold.train) if len(train)]
-    if not used and fit is not fit_nothing:
-        which = "" if number is None else f"block {number + 1}: "
-        raise InputError(
-            f"{which}no frame is left to fit to; exclude fewer frames (fit.untrusted_frames)"
-        )
+    if fit is not fit_nothing:
+        check_trained(fold, number)
     train = [fold.train[k] for k in used]
     with noting() as notes:
         fitted = fit([drives[k].mask_labels(fold.train[k]) for k in used], train, number)
     return fitted, notes
+
+
+def check_trained(fold: Fold, number: int | None) -> None:
+    """Raise InputError, with the number of the fold, if it has no training frame."""
+    if not any(map(len, fold.train)):
+        which = "" if number is None else f"block {number + 1}: "
+        raise InputError(
+            f"{which}no frame is left to fit to; exclude fewer frames (fit.untrusted_frames)"
+        )
 
 
 def fit_folds(

@@ -13,6 +13,7 @@ from egolane_pgm.online import read_messages
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.runs import open_input
 from egolane_pgm.tools.options import ColumnNames, Option, Overrides
+from egolane_pgm.types import InputError
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
@@ -37,6 +38,8 @@ def online(
     - columns: names and units of other messages' fields, e.g. offset_m=c0,left_positive=true.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
     """
+    if sys.stdin is None:
+        raise InputError("standard input is closed; give it a message a line")
     # Standard input as an iterator would be read ahead in blocks.
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")

@@ -14,7 +14,7 @@ from egolane_pgm.result import Result, is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import Option, StrPath, several_of
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, printable
 from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
@@ -118,7 +118,7 @@ def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
             )
     found = (check_model(result), prediction_calibration(result))
     title = title_of(result)
-    print(check_text(result, *found), end="\n\n")
+    print(printable(check_text(result, *found)), end="\n\n")
     makes: dict[str, Callable[[], Figure]] = {"check": partial(check_figure, *found, title)}
     numbers = sensitivity(result)
     if len(numbers):

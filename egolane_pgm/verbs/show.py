@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,8 +16,8 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.loading import experiments_folder, load_yaml
 from egolane_pgm.model import compile_graph, matching_evidence_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
-from egolane_pgm.recordings import FORMATS, format_of
+from egolane_pgm.plugins import OWN_FILES, find_plugin, load_plugin, plugin_names
+from egolane_pgm.recordings import FORMATS
 from egolane_pgm.recordings.showing import show_recording
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import check_not_read
@@ -101,7 +102,7 @@ def show(
         from egolane_pgm.vision.detectors.networks.checking import describe_onnx
 
         found = {"name": given, "text": describe_onnx(Path(given))}
-    elif _is_recording(Path(given)):
+    elif os.path.exists(given) and not given.endswith(OWN_FILES):
         found = {"name": given, "text": show_recording(Path(given))}
     else:
         found = _plugin(given, n_lanes, numbers, out)
@@ -144,14 +145,6 @@ def _shown(path: str | Path) -> str:
     """A path for printing: relative if it is below the current folder."""
     here = Path.cwd()
     return str(Path(path).relative_to(here) if Path(path).is_relative_to(here) else path)
-
-
-def _is_recording(path: Path) -> bool:
-    """Whether a file is a table or a bag."""
-    try:
-        return format_of(path) in ("table", "rosbag")
-    except InputError:
-        return False
 
 
 def _plugin(name: str, n_lanes: int, numbers: bool, out: StrPath | None) -> dict[str, Any]:

@@ -68,7 +68,7 @@ def comparison_figure(found: pd.DataFrame) -> Figure:
     names = [
         ", ".join(map(str, name)) if isinstance(name, tuple) else str(name) for name in found.index
     ]
-    is_hollow = found["tuned_on"].str.contains("same_frames|unknown").to_numpy(bool)
+    is_hollow = found["tuned_on"].str.contains("same_frames|same_drive|unknown").to_numpy(bool)
     y = np.arange(float(len(found)))
     if found.index.nlevels > 1:
         y += 0.5 * pd.factorize(found.index.get_level_values(0))[0]

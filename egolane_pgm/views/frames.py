@@ -13,7 +13,8 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 def title_of(result: Result) -> str:
     """The name of a result, marked if its parameters were tuned on the frames that are scored."""
-    return result.name + (" (in-sample)" if result.run["tuned_on"] == "same_frames" else "")
+    is_in_sample = result.run["tuned_on"] in ("same_frames", "same_drive")
+    return result.name + " (in-sample)" * is_in_sample
 
 
 def is_known(frames: pd.DataFrame) -> BoolArray:

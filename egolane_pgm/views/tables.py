@@ -16,9 +16,11 @@ from egolane_pgm.scoring.scores import SCORES
 #: The words for `tuned_on` next to a score.
 TUNED_ON = {
     "same_frames": "in-sample (tuned on these frames)",
-    "other_frames": "held out (tuned on other frames)",
+    "same_drive": "in-sample (tuned on these frames of another detector)",
+    "unknown": "unknown (it is not known which frames it was tuned on)",
+    "other_frames": "held out (tuned on other frames of this drive)",
+    "other_drive": "held out (tuned on another drive)",
     "not_tuned": "not tuned",
-    "unknown": "unknown (tuned_on is not set)",
 }
 
 #: The same in a narrow column.

@@ -32,7 +32,7 @@ from tests.kits.doc_examples import (
     yaml_kind,
 )
 
-#: What a page needs that not everybody has.
+#: Data that a page needs, by what it mentions.
 _RECORDINGS = re.compile(r"ten_runs|reproduce|experiments/(?:paper|tuning)/|egolane data")
 _MAPS = re.compile(r"roads\.osm|drive\.gpx")
 
@@ -49,7 +49,7 @@ def of_pages(pages: list[Path]) -> pytest.MarkDecorator:
 
 
 def needed(page: Path) -> list[str]:
-    """What the examples of a page need that is not there."""
+    """The data that the examples of a page need and that are missing."""
     data = Path(os.environ.get("EGOLANE_DATA") or "nowhere")
     text = "\n".join(block.text for block in blocks_of(page))
     folders = [("rle", _RECORDINGS), ("maps", _MAPS)]
@@ -106,7 +106,7 @@ def test_the_yaml_of_a_page_fits_its_schema(page: Path) -> None:
             assert not problems, f"{page}:{block.line}"
 
 
-#: Where code stands in sentences, and in messages.
+#: Texts with code in sentences and messages.
 SENTENCES = {
     path: path.read_text() for path in (*PAGES, *sorted((ROOT / "egolane_pgm").rglob("*.py")))
 }
@@ -137,5 +137,5 @@ def test_commands_and_options_exist() -> None:
         assert command is not None, (name, place)
         each = command.commands.values() if isinstance(command, click.Group) else [command]
         known = {option for one in each for p in one.params for option in p.opts}
-        said = set(re.findall(r"--[a-z][a-z-]*", rest))
-        assert known | {"--help"} >= said, (name, rest, place)
+        named = set(re.findall(r"--[a-z][a-z-]*", rest))
+        assert known | {"--help"} >= named, (name, rest, place)

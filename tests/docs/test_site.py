@@ -35,7 +35,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Loads(HTMLParser):
-    """The addresses that a browser loads by itself with a page."""
+    """The addresses that a browser loads with a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ def test_no_page_loads_anything_from_a_network(site: Path) -> None:
         assert 'class="mermaid"' not in page.read_text(), page
 
 
-def test_notebooks_are_shown_with_what_they_put_out_and_files_that_pages_name(site: Path) -> None:
+def test_notebooks_are_shown_with_their_outputs_and_the_files_that_pages_name(site: Path) -> None:
     page = (site / "notebooks" / "01_quickstart.html").read_text()
     pictures = re.findall(r'src="(01_quickstart_[^"]*\.png)"', page)
     assert pictures

@@ -102,9 +102,9 @@ def drive(offsets: list[float], n_frames: int) -> LineLog:
 @pytest.mark.parametrize("off_m", [0.0, 0.8, 1.6])
 def test_a_jam_is_no_evidence(off_m: float, start_lane: int | None) -> None:
     """Both own lines, for five minutes; the car is left of its lane's middle."""
-    told = model(3, start_lane)
+    known = model(3, start_lane)
     log = drive([off_m - W / 2, off_m + W / 2], 3000)
-    found = filter_beliefs(told.compiled, make_evidence(told, log)[0]).lane
+    found = filter_beliefs(known.compiled, make_evidence(known, log)[0]).lane
     others = found if start_lane is None else np.delete(found, start_lane - 1, axis=1)
     assert (others < 1 / 3 + 0.25).all()
 

@@ -270,7 +270,7 @@ CONSTANT = [*within("A", [], [0.0, 1.0]), *within("D", ["A"], SEES)]
 
 
 @pytest.mark.parametrize(
-    ("tables", "hidden", "observed", "inputs", "said"),
+    ("tables", "hidden", "observed", "inputs", "message"),
     [
         (simple_tables(), ["Aa"], ["D"], [], "Aa: declared, but not a node of the network"),
         (simple_tables(), ["A"], [("D", "Ghost")], [], "Ghost: declared, but not a node"),
@@ -289,9 +289,13 @@ CONSTANT = [*within("A", [], [0.0, 1.0]), *within("D", ["A"], SEES)]
     ],
 )  # fmt: skip
 def test_declarations_that_do_not_fit_the_network_are_refused(
-    tables: list[Table], hidden: list[str], observed: list[Observed], inputs: list[str], said: str
+    tables: list[Table],
+    hidden: list[str],
+    observed: list[Observed],
+    inputs: list[str],
+    message: str,
 ) -> None:
-    assert refused(tables, hidden, observed, inputs, declared=["D"]).startswith(said)
+    assert refused(tables, hidden, observed, inputs, declared=["D"]).startswith(message)
 
 
 def test_a_virtual_evidence_node_is_a_leaf_of_what_it_observes() -> None:

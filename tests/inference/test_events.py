@@ -37,7 +37,7 @@ def between(*segments: tuple[float, int]) -> Beliefs:
     return believed(np.stack([1 - right, right], axis=1))
 
 
-def told(events: pd.DataFrame) -> list[tuple[int, ...]]:
+def reported(events: pd.DataFrame) -> list[tuple[int, ...]]:
     columns = ["frame_id", "detected_frame_id", "from_lane", "to_lane"]
     return [tuple(row) for row in events[columns].values.tolist()]
 
@@ -104,7 +104,7 @@ def test_events_are_those_of_the_definition(beliefs: Beliefs, rate: float) -> No
     ids = beliefs.frame_id
     events = lane_events(beliefs, rate)
     right = plain(beliefs.lane, ids / rate)
-    assert told(events) == [(ids[s], ids[t], a, b) for s, t, a, b in right]
+    assert reported(events) == [(ids[s], ids[t], a, b) for s, t, a, b in right]
     np.testing.assert_array_equal(events.time_s, events.frame_id / rate)
     np.testing.assert_array_equal(events.detected_time_s, events.detected_frame_id / rate)
     rows = [t for _, t, _, _ in right]
@@ -114,9 +114,9 @@ def test_events_are_those_of_the_definition(beliefs: Beliefs, rate: float) -> No
     assert (events.late_s >= 0).all()
 
 
-def test_a_change_is_told_once_believed_and_dated_from_where_the_new_lane_leads() -> None:
+def test_a_change_is_reported_once_believed_and_dated_from_where_the_new_lane_leads() -> None:
     drive = between((0.1, 10), (0.5, 2), (0.6, 3), (0.7, 10))
-    assert told(lane_events(drive, 10.0)) == [(12, 15, 1, 2)]
+    assert reported(lane_events(drive, 10.0)) == [(12, 15, 1, 2)]
     assert lane_events(drive, 10.0)["late_s"].tolist() == pytest.approx([0.3])
     assert lane_events(drive, 10.0)["probability"].tolist() == pytest.approx([0.7])
 
@@ -130,23 +130,23 @@ def test_a_probability_that_just_reaches_is_enough(short: float, n_told: int) ->
     assert len(lane_events(first, 10.0)) == (short == 0)
 
 
-def test_a_flicker_is_told_back_only_if_it_is_surely_back() -> None:
+def test_a_change_back_is_reported_only_if_it_is_sure() -> None:
     away = ((0.05, 10), (0.9, 5))
     weak, sure = between(*away, (0.1, 10), (0.9, 40)), between(*away, (0.04, 10), (0.9, 40))
-    assert told(lane_events(weak, 10.0)) == [(10, 10, 1, 2)]
-    assert told(lane_events(sure, 10.0)) == [(10, 10, 1, 2), (15, 15, 2, 1), (25, 40 + 5, 1, 2)]
+    assert reported(lane_events(weak, 10.0)) == [(10, 10, 1, 2)]
+    assert reported(lane_events(sure, 10.0)) == [(10, 10, 1, 2), (15, 15, 2, 1), (25, 40 + 5, 1, 2)]
 
 
-def test_a_car_that_is_still_believed_back_is_told_when_the_time_of_a_flicker_is_over() -> None:
+def test_a_car_still_believed_back_is_reported_when_the_time_of_a_flicker_is_over() -> None:
     events = lane_events(between((0.05, 10), (0.9, 5), (0.1, 60)), 10.0)
-    assert told(events) == [(10, 10, 1, 2), (15, 40, 2, 1)]
+    assert reported(events) == [(10, 10, 1, 2), (15, 40, 2, 1)]
 
 
-def test_a_belief_that_comes_with_a_lag_is_told_when_it_is_known() -> None:
+def test_a_belief_that_comes_with_a_lag_is_reported_when_it_is_known() -> None:
     drive = between((0.1, 10), (0.9, 10))
-    assert told(lane_events(drive, 10.0, lag=4)) == [(10, 14, 1, 2)]
+    assert reported(lane_events(drive, 10.0, lag=4)) == [(10, 14, 1, 2)]
     # The last beliefs come when the drive is over.
-    assert told(lane_events(drive, 10.0, lag=15)) == [(10, 19, 1, 2)]
+    assert reported(lane_events(drive, 10.0, lag=15)) == [(10, 19, 1, 2)]
 
 
 def test_a_frame_rate_of_nothing_is_refused() -> None:
@@ -169,7 +169,7 @@ def over_lines(place: np.ndarray, n_lanes: int, lane: np.ndarray | None = None) 
 
 
 @pytest.mark.parametrize("n_lanes", [2, 3])
-def test_a_change_is_told_by_its_direction_where_the_lane_is_not_known(n_lanes: int) -> None:
+def test_a_change_is_reported_by_its_direction_if_the_lane_is_unknown(n_lanes: int) -> None:
     to_right, back = np.linspace(0, 1, 51), np.linspace(1, -1, 101)
     place = np.concatenate([np.zeros(50), to_right, np.ones(50), back, np.full(50, -1.0)])
     events = lane_events(over_lines(place, n_lanes), 10.0)
@@ -184,11 +184,11 @@ def test_a_change_is_told_by_its_direction_where_the_lane_is_not_known(n_lanes: 
     # Where the lane is known, the change is told with its lanes, once.
     lane = np.rint(place).astype(int) + 1
     known = lane_events(over_lines(place, 3, lane), 10.0)
-    assert told(known) == told(lane_events(believed(np.eye(3)[lane]), 10.0))
+    assert reported(known) == reported(lane_events(believed(np.eye(3)[lane]), 10.0))
     assert known.direction.tolist() == [1, -1, -1]
 
 
-def test_a_change_that_tells_the_lane_is_told_with_its_lanes() -> None:
+def test_a_change_that_determines_the_lane_is_reported_with_its_lanes() -> None:
     """A car somewhere on two lanes goes over a line to the left: it is in lane 1 now."""
     place = np.concatenate([np.zeros(20), np.linspace(0, -1, 51), np.full(60, -1.0)])
     beliefs = over_lines(place, 2)
@@ -202,7 +202,7 @@ def test_a_change_that_tells_the_lane_is_told_with_its_lanes() -> None:
     assert events.direction.tolist() == [-1]
     # A lane that was believed long before is not the new one: only the direction is known.
     lane[5:] = 0.9, 0.1
-    assert told(lane_events(beliefs, 10.0, lateral_offset=places)) == [
+    assert reported(lane_events(beliefs, 10.0, lateral_offset=places)) == [
         (*events.detected_frame_id.iloc[[0, 0]], 0, 0)
     ]
 
@@ -221,7 +221,7 @@ def test_an_event_is_one_crossing_of_one_line() -> None:
         lane[min(at, crossed) :] = lanes[0][1]
         lane[max(at, crossed) :] = lanes[1][1]
         events = lane_events(over_lines(place, 3, lane - 1), 10.0)
-        assert told(events) == [(crossed, crossed, *lanes[at < crossed])]
+        assert reported(events) == [(crossed, crossed, *lanes[at < crossed])]
         assert events.direction.tolist() == [1]
         segments = lane_segments(np.eye(3)[lane - 1], events, np.arange(161) / 10)
         assert [k for k, _, _ in segments] == [lanes[0][0], lanes[0][1], lanes[1][1]]
@@ -233,7 +233,7 @@ def test_an_event_is_one_crossing_of_one_line() -> None:
     places = across_lanes(stays.marginals)[1]
     assert places is not None
     places[50:55] = np.nan
-    assert told(lane_events(stays, 10.0, lateral_offset=places)) == [(60, 60, 1, 2)]
+    assert reported(lane_events(stays, 10.0, lateral_offset=places)) == [(60, 60, 1, 2)]
     assert len(lane_events(over_lines(place, 3, np.zeros(161, int)), 10.0)) == 1
 
 
@@ -276,7 +276,7 @@ def test_a_lane_that_is_believed_after_a_change_without_lanes_begins_anew() -> N
     events = lane_events(
         beliefs, 10.0, lateral_offset=across_lanes(over_lines(place, 2).marginals)[1]
     )
-    assert told(events)[0][2:] == (0, 0)
+    assert reported(events)[0][2:] == (0, 0)
     assert len(events) == 1
     time_s = beliefs.frame_id / 10
     assert lane_segments(beliefs.lane, events, time_s) == [(2, 10.0, 17.0)]
@@ -305,7 +305,7 @@ def test_being_on_a_line_is_the_share_of_places_near_one(
     np.testing.assert_allclose(mirrored, found, atol=1e-12)
 
 
-def test_a_graph_without_places_does_not_say_whether_the_car_is_on_a_line() -> None:
+def test_a_graph_without_places_gives_no_line_crossing_probability() -> None:
     lane = np.array([[0.5, 0.5]])
     assert across_lanes({"Lane": lane})[0] is None
     # A node of that name that is something else is not taken for the place on the road.

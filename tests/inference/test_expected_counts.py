@@ -194,6 +194,6 @@ def test_functions_and_tables_that_an_input_selects_are_not_counted() -> None:
 
 def test_known_values_of_a_node_that_is_not_hidden_are_refused() -> None:
     compiled, _, evidence, lane = drawn_case(1, 5)
-    said = r"known values of Lain, which is no hidden node \(did you mean 'Lane'\?\)"
-    with pytest.raises(InputError, match=said):
+    message = r"known values of Lain, which is no hidden node \(did you mean 'Lane'\?\)"
+    with pytest.raises(InputError, match=message):
         expected_counts(compiled, evidence, {"Lain": lane})

@@ -172,7 +172,7 @@ def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (
             {"Rpm": ["fast", "fats"], "Hill": [0, 0]},
@@ -189,10 +189,10 @@ def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
         ({"Rpm": ["slow"]}, "evidence for Hill: is missing, an input must be known"),
     ],
 )
-def test_observations_that_do_not_fit_are_refused(given: Any, said: str) -> None:
+def test_observations_that_do_not_fit_are_refused(given: Any, message: str) -> None:
     with pytest.raises(InputError) as error:
         Evidence.hard(given, compiled())
-    assert str(error.value).startswith(said)
+    assert str(error.value).startswith(message)
 
 
 @pytest.mark.parametrize(

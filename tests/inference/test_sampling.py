@@ -52,7 +52,7 @@ def no_evidence(compiled, n_frames: int) -> Evidence:
 
 
 @pytest.mark.parametrize("seed", range(13))
-def test_drives_are_drawn_as_the_tables_say(seed: int) -> None:
+def test_drives_are_drawn_from_the_tables(seed: int) -> None:
     """All nodes of both frames, hidden and observed, against all trajectories."""
     drawn, compiled = random_network(seed)
     nodes = [name for name in compiled.values if name not in compiled.inputs]

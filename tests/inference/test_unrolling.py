@@ -126,15 +126,15 @@ def test_inputs_are_given_by_the_names_of_their_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "last", "said"),
+    ("first", "last", "message"),
     [
         (0, 7, "frame 7: the evidence has no such frame, its frames are 0 to 3"),
         (-1, 2, "frame -1: the evidence has no such frame"),
         (3, 2, "frames 3 to 2: the first one comes after the last"),
     ],
 )
-def test_frames_that_there_are_not_are_refused(first: int, last: int, said: str) -> None:
+def test_frames_that_there_are_not_are_refused(first: int, last: int, message: str) -> None:
     compiled = template("lane_only", 3)
     evidence = draw_evidence(compiled, 4, np.random.default_rng(0))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         unrolled(compiled, evidence, first, last)

@@ -19,7 +19,7 @@ from scipy.special import ndtri
 
 from egolane_pgm.evidence.line_geometry.lane_width import LaneWidth, gap_counts, width_of_gaps
 from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.loading import experiments_folder
+from egolane_pgm.loading import experiments_folder, load_experiment
 from egolane_pgm.model import make_evidence
 from egolane_pgm.runs import table_inputs
 from egolane_pgm.simulation import simulate
@@ -357,7 +357,8 @@ def paper_drive(run: int) -> Drive:
     The position is that of the smoother that is told the labels.
     """
     table = experiments_folder() / "paper" / "recordings.csv"
-    given = table_inputs("zero_label", table, {"parameters.lane_width_m": "auto"})[run - 1]
+    base = load_experiment("zero_label", {"parameters.lane_width_m": "auto"})
+    given = table_inputs(base, table)[run - 1]
     [drive] = given.drives()
     log, model, n_lanes = drive.log, drive.model, drive.model.n_lanes
     label = np.where(drive.is_crossing, 0, drive.true_lane)

@@ -96,12 +96,12 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
         pairs += sum((read(scale._IS_TWO_LANES, gap) for gap in others), np.zeros(n))
         counts[1] = scale.KEPT_PAIRS * counts[1] + len(others)
         relative = scale._LOG_LIKELIHOOD - scale._LOG_LIKELIHOOD[0]
-        says = sum((read(relative, gap) for gap in (*neighbours, *others)), np.zeros(n))
-        quick = np.exp(says / scale.ALIKE_WANDERING)
+        likelihood = sum((read(relative, gap) for gap in (*neighbours, *others)), np.zeros(n))
+        quick = np.exp(likelihood / scale.ALIKE_WANDERING)
         of_steady, of_wandering = now @ quick, wandering @ quick
         counts[0] *= of_wandering / (counts[0] * of_wandering + (1 - counts[0]) * of_steady)
         if len(neighbours):
-            steady *= np.exp(says / scale.ALIKE)
+            steady *= np.exp(likelihood / scale.ALIKE)
             steady /= steady.sum()
         wandering *= quick
         wandering /= wandering.sum()

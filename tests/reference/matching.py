@@ -30,7 +30,7 @@ def nearest_by_hand(
 
 
 def enumerated(
-    size: IntArray, said: FloatArray, transition: FloatArray
+    size: IntArray, emission: FloatArray, transition: FloatArray
 ) -> tuple[FloatArray, FloatArray, list[int]]:
     """Filtered and smoothed beliefs (M,), and the best path, by all paths."""
     first = np.concatenate([[0], np.cumsum(size)])
@@ -38,7 +38,7 @@ def enumerated(
     def weight(path: tuple[int, ...]) -> float:
         total, at = 0.0, 0
         for t, state in enumerate(path):
-            total += said[first[t] + state]
+            total += emission[first[t] + state]
             if t:
                 total += transition[at + path[t - 1] * size[t] + state]
                 at += size[t - 1] * size[t]

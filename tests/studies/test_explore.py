@@ -23,7 +23,7 @@ from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
 from egolane_pgm.studies.objective import drive_summands
 from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
-from egolane_pgm.studies.study import block_folds, everything
+from egolane_pgm.studies.study import Fold, block_folds, everything
 from tests.benchmarks.workbench import search
 from tests.kits.line_logs import line_log
 from tests.kits.studies import drive_of, fitting
@@ -97,6 +97,23 @@ def judgement(values: Any, free_parameters: int) -> pd.DataFrame:
     table = pd.DataFrame({"0": np.concatenate(values), "1": 1.0, "recording": recording})
     table.attrs = {"free_parameters": free_parameters}
     return table
+
+
+@pytest.mark.parametrize("sampler", ["evolution", "tpe"])
+def test_every_sampler_of_a_search_explores(sampler: str) -> None:
+    problem = make_problem([DRIVE], [], judge="bic")
+    found = explore(problem, ["Lane -> WOR", str(REPEATS)], trials=6, sampler=sampler)
+    assert len(found.structures) == 4
+    assert found.structures["score"].is_monotonic_decreasing
+
+
+def test_clips_of_one_recording_are_several_drives() -> None:
+    clips = [replace(DRIVE, name=name) for name in ("a", "b")]
+    seeded = ego.load_experiment("quickstart", {**KEYS, "recording.seed": 1})
+    other = replace(DRIVE, model=replace(DRIVE.model, experiment=seeded))
+    assert make_problem(clips, [], judge="bic").drive_ids == (0, 1)
+    assert make_problem([DRIVE, DRIVE], [], judge="bic").drive_ids == (0, 0)
+    assert make_problem([DRIVE, other], [], judge="bic").drive_ids == (0, 1)
 
 
 def test_recordings_of_one_drive_count_once_over_drives() -> None:
@@ -205,6 +222,8 @@ def test_edges_are_read_as_they_are_written() -> None:
     assert [parse_edge(str(edge), START.values) for edge in found] == found
 
 
+NO_FRAMES = fitting(DRIVE, untrusted_frames=[[0, None]])
+EMPTY = Fold((np.zeros(0, dtype=int),), (np.arange(len(DRIVE)),))
 OF_INPUT = replace(BIC, model=replace(BIC.model, compiled=replace(START, inputs=("Lane",))))
 REFUSED = {
     "no node 'Rain'": lambda: parse_edge("Rain -> WOR", START.values),
@@ -220,6 +239,7 @@ REFUSED = {
     "unknown sampler 'best'": lambda: explore(BIC, ["Lane -> WOR"], sampler="best"),
     "no table that an input selects": lambda: module.made(OF_INPUT, frozenset(ADDED)),
     "WOR has more than 3 parents": lambda: module.made(BIC, frozenset(THREE)),
+    "block 1: no frame is left to fit to": lambda: make_problem([NO_FRAMES], [EMPTY]),
     "NEW_NAME=SIZE": lambda: make_problem([DRIVE], [], judge="bic", nodes=["Lane=3"]),
 }
 

@@ -115,7 +115,7 @@ def test_nothing_is_written_without_a_place(
     [
         (ego.run, {"given": QUICKSTART, "overrides": "a=3"}, "overrides: 'a=3': needs a dict, or"),
         (ego.run, {"given": 3}, "3 is no experiment; give the path of a YAML file"),
-        (ego.run, {"given": QUICKSTART, "graph": 3}, "graph: int is no name, file or module"),
+        (ego.run, {"given": QUICKSTART, "graph": 3}, "graph: int is not a name, file"),
         (ego.run, {"given": QUICKSTART, "table": "x.csv"}, "table: needs out, the folder of its"),
         (ego.reproduce, {"runs": 11}, "run 11: the paper has runs 1 to 10"),
         (ego.reproduce, {"runs": ["one"]}, "write numbers and ranges"),

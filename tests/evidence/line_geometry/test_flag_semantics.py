@@ -72,10 +72,10 @@ def same(log: LineLog, other: LineLog, **given: object) -> list[str]:
 @given(full=st.floats(1e-3, 1e4))
 def test_the_lri_may_have_any_scale(full: float) -> None:
     log = drive().log
-    said = same(log, replace(log, lri=log.lri * (full / 10)))
-    assert len(said) == (0 if 7.5 < full < 13.5 else 1)
-    if said:
-        assert f"the LRI of well tracked lines is {full:g}, not 10" in said[0]
+    messages = same(log, replace(log, lri=log.lri * (full / 10)))
+    assert len(messages) == (0 if 7.5 < full < 13.5 else 1)
+    if messages:
+        assert f"the LRI of well tracked lines is {full:g}, not 10" in messages[0]
 
 
 def test_numbers_from_nowhere_do_not_change_the_scale_of_the_lri() -> None:
@@ -90,8 +90,8 @@ def test_an_lri_that_never_changes_is_as_unknown(value: float) -> None:
     log = drive().log
     unknown = replace(log, lri=np.full(log.lri.shape, np.nan))
     constant = replace(log, lri=np.where(is_placed(log.offset_m), value, np.nan))
-    (said,) = same(unknown, constant)
-    assert "it is ignored" in said
+    (message,) = same(unknown, constant)
+    assert "it is ignored" in message
     assert not same(unknown, unknown)
 
 
@@ -139,26 +139,27 @@ def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02])
-def test_a_valid_flag_that_hardly_any_line_has_says_nothing(share: float) -> None:
+def test_a_valid_flag_that_hardly_any_line_has_is_ignored(share: float) -> None:
     log = drive().log
     valid = log.is_valid & (np.random.default_rng(0).random(log.is_valid.shape) < share)
-    (said,) = same(replace(log, is_valid=is_placed(log.offset_m)), replace(log, is_valid=valid))
+    (message,) = same(replace(log, is_valid=is_placed(log.offset_m)), replace(log, is_valid=valid))
     assert (
-        f"only {int(valid.sum())} of {int(is_placed(log.offset_m).sum())} lines are valid" in said
+        f"only {int(valid.sum())} of {int(is_placed(log.offset_m).sum())} lines are valid"
+        in message
     )
 
 
 @pytest.mark.parametrize("flagged", ["one", "all"])
-def test_a_continuous_flag_that_one_line_has_or_all_says_nothing(flagged: str) -> None:
+def test_a_continuous_flag_that_one_line_has_or_all_is_ignored(flagged: str) -> None:
     log = drive().log
     none = np.zeros(log.is_valid.shape, dtype=bool)
     flags = is_placed(log.offset_m)
     if flagged == "one":
         flags = none.copy()
         flags[tuple(np.argwhere(log.is_valid & is_placed(log.offset_m))[77])] = True
-    said = same(replace(log, is_continuous=none), replace(log, is_continuous=flags))
-    assert len(said) == 1
-    assert "are continuous; the flag is ignored" in said[0]
+    messages = same(replace(log, is_continuous=none), replace(log, is_continuous=flags))
+    assert len(messages) == 1
+    assert "are continuous; the flag is ignored" in messages[0]
 
 
 def test_an_ordinary_detector_is_left_alone() -> None:
@@ -184,28 +185,28 @@ def test_offsets_in_another_unit_are_brought_to_the_expected_lane_width(unit: fl
     log = drive().log
     in_lanes = replace(log, offset_m=log.offset_m * (3.5 / 3.75))
     here, _ = read(in_lanes, lane_width_m=3.5)
-    there, said = read(replace(log, offset_m=log.offset_m * unit), lane_width_m=3.75 * unit)
+    there, messages = read(replace(log, offset_m=log.offset_m * unit), lane_width_m=3.75 * unit)
     np.testing.assert_allclose(there, here, atol=1e-6)
     # Found, not given: to a per cent.
-    found, said = read(replace(log, offset_m=log.offset_m * unit))
-    assert "no lane has that in metres, offsets are taken to be in another unit" in said[0]
+    found, messages = read(replace(log, offset_m=log.offset_m * unit))
+    assert "no lane has that in metres, offsets are taken to be in another unit" in messages[0]
     assert np.abs(found - here).mean() < 0.03
 
 
-def test_lines_that_are_too_far_to_be_used_are_said() -> None:
+def test_lines_that_are_too_far_to_be_used_give_a_warning() -> None:
     log = drive().log
-    _, said = read(replace(log, offset_m=log.offset_m * 100), lane_width_m=3.75)
-    assert len(said) == 1
-    assert "are 17.14 m away or more and are not used, with lanes of 3.75 m;" in said[0]
-    assert "are offsets in metres from the vehicle?" in said[0]
+    _, messages = read(replace(log, offset_m=log.offset_m * 100), lane_width_m=3.75)
+    assert len(messages) == 1
+    assert "are 17.14 m away or more and are not used, with lanes of 3.75 m;" in messages[0]
+    assert "are offsets in metres from the vehicle?" in messages[0]
 
 
 @pytest.mark.parametrize(("shift", "side"), [(1.2, "right"), (-1.2, "left")])
-def test_a_camera_that_is_not_in_the_middle_is_said(shift: float, side: str) -> None:
+def test_a_camera_that_is_not_in_the_middle_gives_a_warning(shift: float, side: str) -> None:
     log = drive().log
     offset = np.where(is_placed(log.offset_m), log.offset_m + shift, log.offset_m)
-    _, said = read(replace(log, offset_m=offset), lane_width_m=3.75)
-    (text,) = said
+    _, messages = read(replace(log, offset_m=offset), lane_width_m=3.75)
+    (text,) = messages
     assert f"m {side} of where a vehicle in the middle of its lane has them" in text
 
 
@@ -226,8 +227,8 @@ def test_lines_that_are_reported_twice_count_once(apart: float) -> None:
     once, both = read(log, **given)[0], read(twice, **given)
     # Beside the few doubles that the drive has itself.
     assert (np.abs(once - both[0]).max(axis=(1, 2)) > 1e-6).mean() < 0.15
-    (said,) = both[1]
-    assert "lie within 0.1 lane widths of another one; such lines count once" in said
+    (message,) = both[1]
+    assert "lie within 0.1 lane widths of another one; such lines count once" in message
 
 
 @settings(max_examples=50, deadline=None)
@@ -251,7 +252,7 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
 # --- frame rates ---------------------------------------------------------------------------------
 
 
-def test_what_lines_say_weighs_by_the_time_since_the_frame_before() -> None:
+def test_evidence_weighs_by_the_time_since_the_frame_before() -> None:
     log = drive().log.take(slice(0, 40))
     given = {"lane_width_m": 3.75, "clutter": CLUTTER_PER_M.tolist()}
     once, _ = read(log, **given)

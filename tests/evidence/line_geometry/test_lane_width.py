@@ -155,7 +155,7 @@ def test_too_few_gaps_tell_no_width() -> None:
     ],
     ids=["no frames", "no slots", "no lines", "one line", "placeholders at zero"],
 )
-def test_without_two_lines_in_a_frame_the_fallback_is_used_and_it_says_so(
+def test_without_two_lines_in_a_frame_the_fallback_is_used_with_a_warning(
     offsets: FloatArray,
 ) -> None:
     found = lane_width(line_log(offsets), 3.2)

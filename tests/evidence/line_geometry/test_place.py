@@ -92,7 +92,7 @@ def test_times_that_stand_still_or_run_back_are_no_error() -> None:
 
 
 @pytest.mark.parametrize("preset", ["a4", "a2"])
-def test_the_papers_graph_tells_lane_changes_by_the_lines(preset: str) -> None:
+def test_the_papers_graph_finds_lane_changes_by_the_lines(preset: str) -> None:
     drive = simulate(preset, seed=2, n_lanes=4)
     paper = {"graph": "sensor_failure", "evidence": "counting"}
     run = ego.run(drive.log, n_lanes=4, ground_truth=drive.truth, overrides=paper)

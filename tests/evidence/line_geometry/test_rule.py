@@ -279,7 +279,7 @@ def test_a_line_that_stands_still_with_a_steady_index_is_measured() -> None:
     assert motion_of(line_log([[-1.8, 1.8]] * 3)) == [STILL, value_of(0), value_of(0)]
 
 
-def test_a_line_that_was_held_tells_the_motion_when_no_other_does() -> None:
+def test_a_line_that_was_held_gives_the_motion_if_no_other_does() -> None:
     log = line_log([[1.8], [1.8], [1.4]], lri=[[10], [9], [10]])
     assert motion_of(log) == [STILL, STILL, value_of(-0.4)]
 
@@ -479,7 +479,7 @@ def test_with_a_given_width_the_frames_after_the_first_flag_are_read_as_the_whol
     np.testing.assert_allclose(ours[first:], whole.likelihoods[NODES][first:], atol=1e-12)
 
 
-def test_the_width_that_was_found_is_said_once() -> None:
+def test_the_lane_width_found_is_in_one_warning() -> None:
     log = simulate("quickstart", seed=1, frames=300).log
     with pytest.warns(UserWarning, match=r"lane width 3\.\d\d m from") as caught:
         line_geometry.evidence(log, 3, resolved(lane_width_m="auto"))
@@ -490,15 +490,15 @@ def test_the_width_that_was_found_is_said_once() -> None:
 
 
 @pytest.mark.parametrize("width", ["causal", "auto", 3.7])
-def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
+def test_a_scale_that_changes_in_the_middle_gives_a_warning(width: object) -> None:
     log = simulate("quickstart", seed=1, frames=3000).log
     for changed, n_warnings in ((log, 0), (scale_changes(log, 0.6), 1), (scaled(log, 0.6), 0)):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             line_geometry.evidence(changed, 3, resolved(lane_width_m=width))
-        said = [str(w.message) for w in caught if "first half" in str(w.message)]
-        assert len(said) == n_warnings
-        for line in said:
+        messages = [str(w.message) for w in caught if "first half" in str(w.message)]
+        assert len(messages) == n_warnings
+        for line in messages:
             assert re.search(
                 r"3\.\d+ m in the first half of the recording, 2\.\d+ m in the second: does", line
             )

@@ -122,12 +122,12 @@ def test_a_step_is_that_of_two_hidden_markov_models(steps: tuple[int, int]) -> N
     expected = [GRID[np.flatnonzero(below >= (k + 0.5) / 7)[0]] for k in range(7)]
     np.testing.assert_allclose(widths[0], expected, rtol=1e-12)
 
-    says = np.prod([likelihood_of_gap(gap) for gap in gaps], axis=0)
-    of_wandering = share * (wandering * says ** (1 / 10)).sum()
-    of_steady = (1 - share) * (steady * says ** (1 / 10)).sum()
+    likelihood = np.prod([likelihood_of_gap(gap) for gap in gaps], axis=0)
+    of_wandering = share * (wandering * likelihood ** (1 / 10)).sum()
+    of_steady = (1 - share) * (steady * likelihood ** (1 / 10)).sum()
     assert belief.counts[0] == pytest.approx(of_wandering / (of_wandering + of_steady))
-    steady *= says ** (1 / 20)
-    wandering *= says ** (1 / 10)
+    steady *= likelihood ** (1 / 20)
+    wandering *= likelihood ** (1 / 10)
     np.testing.assert_allclose(belief.steady, steady / steady.sum(), rtol=1e-9)
     np.testing.assert_allclose(belief.wandering, wandering / wandering.sum(), rtol=1e-9)
     assert belief.counts[1] == len(gaps) // 3
@@ -200,7 +200,7 @@ def test_numbers_from_nowhere_do_not_stay(lines: list[float]) -> None:
 
 
 @pytest.mark.parametrize("lines", NOTHING)
-def test_frames_without_a_gap_say_nothing(lines: list[float]) -> None:
+def test_frames_without_a_gap_are_no_evidence(lines: list[float]) -> None:
     offset = np.tile(np.array(lines, dtype=float), (2000, 1))
     widths, belief = widths_of(offset)
     none, _ = widths_of(np.empty((2000, 0)))

@@ -82,7 +82,7 @@ def test_a_stranger_gets_the_same_evidence_frame_by_frame(name: str) -> None:
 
 @needs_compiler
 @pytest.mark.parametrize("name", LEVELS)
-def test_strangers_made_of_recordings_are_told_as_well_as_their_lines_allow(
+def test_strangers_made_of_recordings_are_located_as_well_as_their_lines_allow(
     name: str, recordings: Path
 ) -> None:
     found = [accuracies(STRANGERS[name](paper_drive(run)))[0] for run in (1, 6)]

@@ -40,7 +40,7 @@ def beliefs(log: LineLog, n_lanes: int = 3, **given: object) -> FloatArray:
 
 
 @pytest.mark.parametrize("n_lanes", [3, 5])
-def test_a_camera_of_two_lines_says_nothing_about_the_lane(n_lanes: int) -> None:
+def test_a_camera_of_two_lines_is_no_evidence_of_the_lane(n_lanes: int) -> None:
     log = line_log(OWN * np.ones((3000, 1)))
     assert beliefs(log, n_lanes, clutter=CLUTTER_PER_M.tolist()).min() < 1e-6
     np.testing.assert_allclose(beliefs(log, n_lanes), 1 / n_lanes, atol=0.25 / n_lanes)
@@ -63,9 +63,9 @@ def test_own_lines_alone_are_noted() -> None:
     parameters = resolved(lane_width_m="causal")
     with pytest.warns(UserWarning, match="shows the lines of its own lane only"):
         line_geometry.evidence(line_log(OWN * np.ones((3000, 1))), 3, parameters)
-    with pytest.warns(UserWarning, match="lane width") as said:
+    with pytest.warns(UserWarning, match="lane width") as messages:
         line_geometry.evidence(line_log(FOUR * np.ones((3000, 1))), 3, parameters)
-    assert not any("own lane only" in str(each.message) for each in said)
+    assert not any("own lane only" in str(each.message) for each in messages)
 
 
 def test_what_is_given_or_learned_leaves_one_kind() -> None:

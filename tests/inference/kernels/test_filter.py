@@ -119,7 +119,7 @@ for columns in ((0, 1),), ((0, 1, 2),):
     print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))
 """
     environment = dict(os.environ, NUMBA_CACHE_DIR=str(tmp_path))
-    said = [
+    values = [
         subprocess.run(
             [sys.executable, "-c", program],
             env=environment,
@@ -129,4 +129,4 @@ for columns in ((0, 1),), ((0, 1, 2),):
         ).stdout.split()
         for _ in range(2)
     ]
-    assert said == [["0", "1"] * 2, ["1", "0"] * 2]
+    assert values == [["0", "1"] * 2, ["1", "0"] * 2]
