@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Model:
     """An experiment, ready for inference.
 
@@ -93,6 +93,9 @@ class Model:
     def free_parameters(self) -> int:
         """Number of free parameters of the network, see `expected_counts.free_parameters`."""
         return free_parameters(counted_tables(self.compiled))
+
+    def __repr__(self) -> str:
+        return f"Model({self.experiment.name!r}: {self.experiment.graph_name}, {self.compiled})"
 
     def __reduce__(self) -> Any:
         # Functions of users' files are not pickled, but loaded by the names in the experiment.

@@ -232,8 +232,7 @@ class Study:
     - name: of the experiment, or of a list of them.
     - experiments: the fitted experiments.
     - method: learn or tune.
-    - model: with the final fit, to all trusted frames.
-    - fitted: its parameters and tables by name.
+    - fitted: parameters and tables of the final fit, to all trusted frames, by name.
     - in_sample: the result of the training frames, with `fitted`.
     - held_out: the result of the test frames of all folds, each with the fit of its fold; None
       without folds.
@@ -255,7 +254,6 @@ class Study:
     name: str
     experiments: Sequence[Experiment]
     method: str
-    model: Model
     fitted: Fitted
     in_sample: Result
     held_out: Result | None = None
@@ -268,6 +266,11 @@ class Study:
         from egolane_pgm.views.studies import study_title
 
         return f"Study({study_title(self)})"
+
+    @property
+    def model(self) -> Model:
+        """The fitted model."""
+        return self.in_sample.model
 
     @property
     def n_trials(self) -> int:
@@ -462,15 +465,14 @@ def run_study(
     if profile:
         shared |= {"pooled": work.pooled, "directory": work.directory}
         profiled = make_profile(drives, profile, trials, **shared)
-    model, held_out = final[0].model, None
-    in_sample = make_result(model.experiment, final, frames, notes, begin=begin)
+    held_out = None
+    in_sample = make_result(final[0].experiment, final, frames, notes, begin=begin)
     if folds:
         held_out = held_out_result(experiments[0], drives, folds, fitted, notes, begin, method)
     study = Study(
         name=name or experiments[0].name,
         experiments=experiments,
         method=method,
-        model=model,
         fitted=whole,
         in_sample=in_sample,
         held_out=held_out,

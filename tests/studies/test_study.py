@@ -21,6 +21,7 @@ from egolane_pgm.result import Result, is_result, load_result
 from egolane_pgm.runs import open_input, run_input
 from egolane_pgm.studies.study import (
     Study,
+    Work,
     block_folds,
     group_folds,
     is_study,
@@ -44,7 +45,8 @@ FITS = pytest.mark.parametrize(
 
 def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any) -> Study:
     keys = {"trials": trials, **options.pop("fit", {})}
-    return run_study([fitting(each, **keys) for each in drives], "tune", list(folds), **options)
+    given = [fitting(each, **keys) for each in drives]
+    return run_study(given, "tune", list(folds), Work(**options))
 
 
 # --- held out ------------------------------------------------------------------------------------
@@ -184,7 +186,7 @@ def test_a_study_has_in_sample_and_held_out_scores_and_is_saved(tmp_path: Path) 
     assert_frame_equal(pd.read_parquet(out / "trials.parquet"), study.trials)
     assert_frame_equal(load_result(out / "held_out").frames, study.held_out.frames)
     content = yaml.safe_load((out / "best.yaml").read_text())
-    assert (content["name"], content["tuned_on"]) == ("a_tuned", "same_frames")
+    assert content["name"] == "a_tuned"
     again = run(out / "best.yaml")
     np.testing.assert_array_equal(again.node("Lane"), study.in_sample.node("Lane"))
     optuna.load_study(study_name="a", storage=_journal(out))
@@ -253,7 +255,7 @@ def test_each_trial_detects_with_its_own_parameters(tmp_path: Path) -> None:
         found: Result = run(path, values)
         assert found.scores["model"]["log_loss"] == pytest.approx(row["log_loss"])
     best = study.trials.loc[study.trials["log_loss"].idxmin()]
-    kept = study.experiment()["parameters"]["detector"]
+    kept = study.experiment.parameters["detector"]
     assert [kept[n] for n in names] == [best[f"detector.{n}"] for n in names]
     assert set(study.fitted) == set(bounds)
     lines = drive_of(simulated())
