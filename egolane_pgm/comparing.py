@@ -139,7 +139,9 @@ def _default_key(results: Sequence[Result]) -> str:
     if len({_recording(each) for each in results}) > 1:
         return "folder"
     # Held-out results of studies are all in directories `held_out`.
-    keys = ("name", "graph", "directory", "folder")
+    keys = ["name", "directory", "folder"]
+    if len({len(each.frames) for each in results}) == 1:
+        keys.insert(1, "graph")
     is_fit = (k for k in keys if len({_value(each, k) for each in results}) == len(results))
     return next(is_fit, "directory")
 

@@ -335,7 +335,7 @@ def _read_frames(file: Path, run: Mapping[str, Any]) -> pd.DataFrame:
         "is_impossible": Column("flag", is_needed=True, is_full=True),
         "true_lane": Column("whole"),
         "is_crossing": Column("flag"),
-        "is_trusted": Column("flag"),
+        "is_trusted": Column("flag", is_full=True),
     }
     declared |= {f"Lane_{k + 1}": Column(is_needed=True) for k in range(run["n_lanes"])}
     return checked(read_parquet(file), declared, str(file)).set_index("frame_id")

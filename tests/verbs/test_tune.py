@@ -127,7 +127,6 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
         ("--folds 1", "--folds: 1 leaves nothing to fit to; 0 holds out nothing"),
         ("--trials 0", "'--trials'"),
         ("--profile sigma", "--profile: no number 'sigma' is searched (did you mean"),
-        ("--profile p1 --set fit.objective=brier", "--profile: brier is no mean over frames"),
         ("--set fit.sampler=BruteForceSampler", "BruteForceSampler: FloatDistribution.step must"),
         ("--set fit.sampler=CmaEsSampler --set fit.objective=[f1,brier]", "CmaEsSampler: If the"),
         (
