@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from egolane_pgm.contracts import Reader
 from egolane_pgm.experiment import FROM_MAP, Experiment, TunedOn, make_experiment
-from egolane_pgm.identity import Marks, marks_of, origin_on
+from egolane_pgm.identity import Marks, compared, marks_of, most_in_sample
 from egolane_pgm.loading import IN_MEMORY, existing
 from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
@@ -51,6 +52,10 @@ if TYPE_CHECKING:
 DRIVE_KEYS = ("simulate", "seed", "frames")
 
 
+#: Lines and ground truth of a recording.
+Whole = tuple[LineLog, "pd.DataFrame | None"]
+
+
 @dataclass(frozen=True, eq=False)
 class Drive:
     """One drive: T frames of lines, their ground truth, and a model.
@@ -59,7 +64,7 @@ class Drive:
     - log: lines, after frame selection and `missing_frames`.
     - true_lane (T,): 1 (leftmost) to n, NOT_ANNOTATED (0) if unknown.
     - is_crossing (T,): marks frames in which the car changes lanes.
-    - marks: of the whole recording.
+    - whole: lines and ground truth of the whole recording.
     - tags: labels to group drives by.
     """
 
@@ -68,7 +73,7 @@ class Drive:
     log: LineLog
     true_lane: IntArray
     is_crossing: BoolArray
-    marks: Marks = field(default_factory=Marks)
+    whole: Whole | None = None
     tags: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -102,8 +107,18 @@ class Drive:
 
     def tuned_on(self, frames: slice | IntArray = slice(None)) -> TunedOn:
         """Compare what the model was tuned on with some annotated frames, indices into rows."""
-        origins = self.experiment.tuned_on, self.model.learned_from
-        return origin_on(origins, self.marks, self.frame_ids(frames))
+        known: list[TunedOn] = ["not_tuned"]
+        for origin in (self.model.experiment.tuned_on, self.model.learned_from):
+            if isinstance(origin, str):
+                known.append(origin)
+            elif origin is not None:
+                known += [compared(each, self.marks, self.frame_ids(frames)) for each in origin]
+        return most_in_sample(known)
+
+    @cached_property
+    def marks(self) -> Marks:
+        """The marks of the whole recording."""
+        return marks_of(*(self.whole or (self.log, None)))
 
     def frame_ids(self, frames: slice | IntArray = slice(None)) -> IntArray:
         """The ids of some annotated frames, indices into rows."""
@@ -234,7 +249,7 @@ def read_drives(
     elif annotated is not None:
         path = existing(experiment, "ground_truth.path")
         known = read_ground_truth(path, annotated.extra_rows, log)
-    if "frame_rate" not in recording.model_fields_set:
+    if "frame_rate" not in recording.model_fields_set and recording.simulate is None:
         unit = None if recording.detector else (recording.columns or {}).get("time_unit", "s")
         for note in clock_warning(log.source, log.frame_id, log.time_s, unit):
             warnings.warn(note, UserWarning, stacklevel=2)
@@ -245,7 +260,7 @@ def read_drives(
         note = f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
         note += f" with recording.frame_rate, {recording.frame_rate:g}"
         warnings.warn(note, UserWarning, stacklevel=2)
-    marks = marks_of(log, known)
+    whole = log, known
     log = select_frames(log, *(recording.frames or (None, None)))
     if known is not None and log.clip is not None:
         raise InputError(f"{log.source}: clips have no ground truth; leave out ground_truth")
@@ -256,10 +271,10 @@ def read_drives(
         if recording.missing_frames != "skip":
             clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
         if model is None:
-            drives += cut(name, experiment, clip, known, marks)
+            drives += cut(name, experiment, clip, known, whole)
         else:
             here = replace(model, experiment=experiment)
-            drives.append(make_drive(name, here, clip, known, marks))
+            drives.append(make_drive(name, here, clip, known, whole))
     return [replace(drive, tags=dict(tags or {})) for drive in drives]
 
 
@@ -268,13 +283,13 @@ def make_drive(
     model: Model,
     log: LineLog,
     truth: pd.DataFrame | None,
-    marks: Marks = Marks(),  # noqa: B008
+    whole: Whole | None = None,
     *,
     most_lanes: int = 0,
 ) -> Drive:
     """Join a log with its ground truth, and warn of oddities.
 
-    - marks: of the whole recording.
+    - whole: lines and ground truth of the whole recording.
     - most_lanes: for a segment of a longer road, the lanes of the widest segment. A lane may end
       some metres from its position in the map, so the truth may contain a lane that the segment
       does not have; and a segment may have no annotated frame.
@@ -305,11 +320,11 @@ def make_drive(
             notes.append(f"{log.source}: {unscored}")
     for note in notes:
         warnings.warn(note, UserWarning, stacklevel=2)
-    return Drive(name, model, log, lane, crossing, marks)
+    return Drive(name, model, log, lane, crossing, whole)
 
 
 def cut(
-    name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | None, marks: Marks
+    name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | None, whole: Whole
 ) -> list[Drive]:
     """One drive per segment of road with a constant number of lanes; each starts from the prior."""
     road = load_road(existing(experiment, "road"))
@@ -323,7 +338,7 @@ def cut(
     segments = np.split(np.arange(len(log)), np.flatnonzero(np.diff(n_lanes)) + 1)
     return [
         make_drive(
-            f"{name}_{k}", models[n_lanes[at[0]]], log.take(at), truth, marks, most_lanes=widest
+            f"{name}_{k}", models[n_lanes[at[0]]], log.take(at), truth, whole, most_lanes=widest
         )
         for k, at in enumerate(segments, start=1)
     ]

@@ -573,7 +573,8 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
     content = experiment.model_dump(mode="json", exclude={"fit"}, exclude_none=True)
     if experiment.n_lanes == FROM_MAP:
         content["n_lanes"] = "map"
-    content["graph"] = experiment.graph_name
+    if isinstance(experiment.graph, Graph):
+        content["graph"] = experiment.graph.name
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -5,7 +5,7 @@ they name (own plugins included), on data in memory, and on the version of this 
 makes a checksum of them, for everything that is kept.
 
 A fit keeps marks of its training recordings and the ids of its training frames (`trained_on`). They
-are compared with those of the frames of a later run (`origin_on`), so a copy of a recording is the
+are compared with those of the frames of a later run (`compared`), so a copy of a recording is the
 same recording, whatever its name.
 """
 
@@ -15,7 +15,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -24,7 +24,7 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.experiment import DETECTOR, Experiment, Origin, TrainedOn, TunedOn
+from egolane_pgm.experiment import DETECTOR, Experiment, TrainedOn, TunedOn
 from egolane_pgm.recordings import files_of
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import BoolArray, IntArray, LineLog
@@ -36,7 +36,7 @@ HARMLESS = ("name", "description")
 
 
 def digest_of(*parts: Any) -> str:
-    """Return a checksum of the version and of plain values, arrays, dataclasses, experiments."""
+    """Return a checksum of the version and of plain values, arrays and dataclasses."""
     text = json.dumps((metadata.version("egolane-pgm"), *parts), sort_keys=True, default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -47,8 +47,6 @@ def _plain(value: Any) -> Any:
         return [str(value.dtype), value.shape, content.hexdigest()]
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, Experiment):
-        return content_of(value)
     if dataclasses.is_dataclass(value):
         return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     raise TypeError(f"{type(value).__name__} has no checksum")
@@ -59,16 +57,10 @@ def content_of(experiment: Experiment, harmless: Collection[str] = ()) -> dict[s
 
     - harmless: further keys that are left out.
     """
-    files = {str(path): digest(path)["sha256"] for path in data_files(experiment)}
-
-    def replaced(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {key: replaced(each) for key, each in value.items()}
-        return files.get(value, value) if isinstance(value, str) else value
-
-    content: dict[str, Any] = replaced(
-        experiment.model_dump(mode="json", exclude={*HARMLESS, *harmless})
-    )
+    text = experiment.model_dump_json(exclude={*HARMLESS, *harmless})
+    for path in data_files(experiment):
+        text = text.replace(json.dumps(str(path)), json.dumps(digest(path)["sha256"]))
+    content: dict[str, Any] = json.loads(text)
     return content
 
 
@@ -170,29 +162,13 @@ def _text(marks: Iterable[int]) -> str:
     return " ".join(f"{mark:08x}" for mark in sorted(marks)[:MOST_MARKS])
 
 
-def origin_on(origins: Iterable[Origin | None], marks: Marks, frame_id: IntArray) -> TunedOn:
-    """Compare what models were tuned on with some scored frames of a drive.
-
-    - origins: of the parameters, of fitted tables, ...; None for one without.
-    - frame_id: of the scored frames.
-
-    Returns the value nearest to in-sample.
-    """
-    known: list[TunedOn] = ["not_tuned"]
-    for origin in origins:
-        if isinstance(origin, str):
-            known.append(origin)
-        elif origin is not None:
-            known += [_compared(each, marks, frame_id) for each in origin]
-    return most_in_sample(known)
-
-
 def most_in_sample(values: Iterable[TunedOn]) -> TunedOn:
     """The value nearest to in-sample."""
     return max(values, key=get_args(TunedOn).index)
 
 
-def _compared(trained: TrainedOn, marks: Marks, frame_id: IntArray) -> TunedOn:
+def compared(trained: TrainedOn, marks: Marks, frame_id: IntArray) -> TunedOn:
+    """Compare what a fit was trained on with some frames of a recording, by their ids."""
     has_lines = _shares(trained.lines, marks.lines)
     if not has_lines and not _shares(trained.labels, marks.labels):
         return "other_drive" if trained.lines and marks.lines else "unknown"

@@ -23,10 +23,11 @@ from egolane_pgm.inference.compile import (
     Compiled,
     compile,
     compile_tables,
+    counted_tables,
+    free_parameters,
     with_initial_lane,
     with_tables,
 )
-from egolane_pgm.inference.expected_counts import counted_tables, free_parameters
 from egolane_pgm.inference.filtering import METHODS, harden, joint_input
 from egolane_pgm.parameters import Value, resolve_parameters, smoothing_defaults
 from egolane_pgm.plugins import (
@@ -127,7 +128,7 @@ def compile_model(experiment: Experiment) -> Model:
     specs = smoothing_defaults(declared) if e.filter in ("smoothed", "viterbi") else declared
     given = {name: value for name, value in e.parameters.items() if name != DETECTOR}
     parameters = resolve_parameters(specs, given, e.n_lanes, f"{source}: parameters")
-    with problems_in(f"{source}: graph {e.graph_name}"):
+    with problems_in(f"{source}: graph {graph.name}"):
         compiled, unused = compile_graph(rule, graph, e.n_lanes, parameters)
         lanes = compiled.cardinality.get("Lane")
         if lanes != e.n_lanes:

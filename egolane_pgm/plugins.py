@@ -143,7 +143,8 @@ def read_module(kind: type[AnyPlugin], module: ModuleType, name: str, where: str
     given, where, values = vars(module), f"{where}: {name}", {}
     is_ours = module.__name__.startswith("egolane_pgm.")
     # A function has its field's name, a value is in capitals.
-    protocols = _protocols(kind)
+    contract: Any = kind
+    protocols = _protocols(contract)
     own = [f for f in fields(kind) if f.name not in _OF_FILE]
     names = {f.name: f.name if f.name in protocols else f.name.upper() for f in own}
     for word in given if not is_ours else ():
@@ -152,8 +153,10 @@ def read_module(kind: type[AnyPlugin], module: ModuleType, name: str, where: str
     for field in own:
         word = names[field.name]
         if word in given:
-            check = _check_function if field.name in protocols else _checked
-            values[field.name] = check(kind, field, given[word], f"{where}: {word}")
+            values[field.name] = given[word]
+            if not is_ours:
+                check = _check_function if field.name in protocols else _checked
+                values[field.name] = check(kind, field, given[word], f"{where}: {word}")
         elif field.default is MISSING:
             raise InputError(f"{where} does not define {word}")
     if issubclass(kind, Graph) and not {"tables", "build"} & {*values}:
@@ -162,7 +165,8 @@ def read_module(kind: type[AnyPlugin], module: ModuleType, name: str, where: str
     return kind(name=name, file=str(module.__file__), about=about, is_ours=is_ours, **values)
 
 
-def _protocols(kind: type[Plugin]) -> dict[str, Any]:
+@functools.cache
+def _protocols(kind: Any) -> dict[str, Any]:
     """The protocol of each function of a contract, by its field."""
     hints = {name: (hint, *get_args(hint)) for name, hint in get_type_hints(kind).items()}
     return {name: each for name, parts in hints.items() for each in parts if is_protocol(each)}
@@ -183,7 +187,8 @@ def _checked(kind: type[Plugin], field: Field[Any], value: Any, where: str) -> A
 
 def _check_function(kind: type[Plugin], field: Field[Any], value: Any, where: str) -> Any:
     """Return a function that can be called as its protocol is."""
-    called = inspect.signature(_protocols(kind)[field.name].__call__).parameters.values()
+    contract: Any = kind
+    called = inspect.signature(_protocols(contract)[field.name].__call__).parameters.values()
     needed = [each.name for each in called if each.kind is each.POSITIONAL_ONLY][1:]
     has_options = any(each.kind is each.VAR_KEYWORD for each in called)
     try:

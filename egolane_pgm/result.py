@@ -24,7 +24,7 @@ import pandas as pd
 from egolane_pgm.contracts import Graph
 from egolane_pgm.drives import Drive, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
-from egolane_pgm.identity import data_files, digest, digest_of, most_in_sample
+from egolane_pgm.identity import content_of, data_files, digest, digest_of, most_in_sample
 from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
@@ -365,7 +365,7 @@ def stored(
     try:
         run = json.loads((directory / "run.json").read_text())
         found = run["identity"], run["tags"], run.get("blocks")
-        is_same = found == (digest_of(experiment), dict(tags), n_blocks)
+        is_same = found == (digest_of(content_of(experiment)), dict(tags), n_blocks)
         return load_result(directory) if is_same else None
     except (OSError, ValueError, KeyError):
         return None
@@ -485,7 +485,7 @@ def make_result(
     run = {
         "name": e.name,
         "config": resolved(e, model.parameters),
-        "identity": digest_of(experiment),
+        "identity": digest_of(content_of(experiment)),
         "data": data,
         "versions": versions(),
         "git": git_state(),

@@ -132,6 +132,39 @@ class Compiled:
         return declare(self.tables.values(), self.observed, self.values)
 
 
+def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
+    """Return the tables with counts: both slices of a node with two tables, else slice 1.
+
+    Functions and tables that an input selects are left out.
+    """
+    nodes = [(n, 1) if n in compiled.one_table else (n, s) for n, s in compiled.places]
+    return {
+        node: compiled.tables[node]
+        for node in nodes
+        if not any(parent in compiled.inputs for parent, _ in compiled.tables[node].parents)
+    }
+
+
+def free_parameters(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode] = ()) -> int:
+    """Return the number of free numbers of the tables of later frames.
+
+    These are the entries above zero but one of each row.
+
+    - bases: nodes whose table repeats the value before with one probability; its other entries are
+      counted without the repetition, and one for it.
+
+    Tables of the first frame alone do not count: one frame of a sequence informs them, and the
+    logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).
+    """
+    bases = set(bases)
+    total = 0
+    for node in (node for node in tables if node[1] == 1):
+        # Repetition adds to one value of each row only.
+        values = tables[node].values.min(axis=-2) if node in bases else tables[node].values
+        total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
+    return total
+
+
 def compiled_of(given: Any, evidence: Evidence | None = None) -> Compiled:
     """Return the arrays of anything with a model (a result, a study, ...), or of a pgmpy network.
 
@@ -164,8 +197,10 @@ def takes_any_model(
 
     @functools.wraps(function)
     def called(model: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        given = (each for each in (*args, *kwargs.values()) if isinstance(each, Evidence))
-        return function(compiled_of(model, next(given, None)), *args, **kwargs)
+        if not isinstance(model, Compiled):
+            given = (each for each in (*args, *kwargs.values()) if isinstance(each, Evidence))
+            model = compiled_of(model, next(given, None))
+        return function(model, *args, **kwargs)
 
     return called
 

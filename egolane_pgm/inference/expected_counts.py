@@ -7,14 +7,14 @@ flagged, and both are ignored.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference.compile import Compiled, Group, takes_any_model
+from egolane_pgm.graphs.cpds import SliceNode
+from egolane_pgm.inference.compile import Compiled, Group, counted_tables, takes_any_model
 from egolane_pgm.inference.filtering import (
     evidence_blocks,
     first_frames,
@@ -39,39 +39,6 @@ class Expected:
     counts: Mapping[SliceNode, FloatArray]
     log_evidence: float
     is_impossible: BoolArray
-
-
-def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
-    """Return the tables with counts: both slices of a node with two tables, else slice 1.
-
-    Functions and tables that an input selects are left out.
-    """
-    nodes = [(n, 1) if n in compiled.one_table else (n, s) for n, s in compiled.places]
-    return {
-        node: compiled.tables[node]
-        for node in nodes
-        if not any(parent in compiled.inputs for parent, _ in compiled.tables[node].parents)
-    }
-
-
-def free_parameters(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode] = ()) -> int:
-    """Return the number of free numbers of the tables of later frames.
-
-    These are the entries above zero but one of each row.
-
-    - bases: nodes whose table repeats the value before with one probability; its other entries are
-      counted without the repetition, and one for it.
-
-    Tables of the first frame alone do not count: one frame of a sequence informs them, and the
-    logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).
-    """
-    bases = set(bases)
-    total = 0
-    for node in (node for node in tables if node[1] == 1):
-        # Repetition adds to one value of each row only.
-        values = tables[node].values.min(axis=-2) if node in bases else tables[node].values
-        total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
-    return total
 
 
 @takes_any_model

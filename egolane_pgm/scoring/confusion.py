@@ -47,7 +47,10 @@ def assigned_lane(belief: ArrayLike, min_confidence: float = 0.0) -> IntArray:
 def _assign(values: FloatArray, below: float, lane: IntArray) -> None:
     """Fill lane (T,); see `assigned_lane`."""
     for t in range(len(values)):
-        top = values[t].max()
+        # A loop: compiling `max` takes a second.
+        top = values[t, 0]
+        for k in range(1, values.shape[1]):
+            top = max(top, values[t, k])
         lane[t] = UNASSIGNED
         n_near = 0
         for k in range(values.shape[1]):

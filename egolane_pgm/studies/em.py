@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.inference.compile import Compiled, takes_any_model, with_tables
-from egolane_pgm.inference.expected_counts import counted_tables, expected_counts
+from egolane_pgm.inference.compile import Compiled, counted_tables, takes_any_model, with_tables
+from egolane_pgm.inference.expected_counts import expected_counts
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 
 #: The iterations end when the log posterior grows by less than this, nats per frame.

@@ -23,8 +23,13 @@ from scipy.special import stdtrit
 from egolane_pgm.drives import Drive, drive_key
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.identity import data_files, digest, digest_of
-from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
-from egolane_pgm.inference.expected_counts import counted_tables, free_parameters
+from egolane_pgm.inference.compile import (
+    Compiled,
+    compile_tables,
+    counted_tables,
+    free_parameters,
+    with_initial_lane,
+)
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, graph_in_memory, make_evidence, with_own_values
 from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval

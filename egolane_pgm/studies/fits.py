@@ -24,8 +24,8 @@ from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.identity import content_of, digest_of
-from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.inference.compile import Compiled, counted_tables
+from egolane_pgm.inference.expected_counts import FREE
 from egolane_pgm.inference.filtering import METHODS
 from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import (

@@ -21,7 +21,7 @@ import pandas as pd
 from egolane_pgm.contracts import Graph
 from egolane_pgm.drives import Drive, drive_key, read_drives
 from egolane_pgm.experiment import DETECTOR, Experiment, Origin, TrainedOn, resolved
-from egolane_pgm.identity import data_files, digest, most_in_sample, origin_on, trained_on
+from egolane_pgm.identity import compared, data_files, digest, most_in_sample, trained_on
 from egolane_pgm.model import Model, with_own_values
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
@@ -365,8 +365,9 @@ def held_out_result(
     keys["free_parameters"] = apply_fit(drives[0].model, fitted[0]).free_parameters
     if fit != "none":
         keys["tuned_on"] = most_in_sample(
-            origin_on([training_of_fold(drives, fold)], drive.marks, drive.frame_ids(test))
+            compared(trained, drive.marks, drive.frame_ids(test))
             for fold in folds
+            for trained in training_of_fold(drives, fold)
             for drive, test in zip(drives, fold.test, strict=True)
             if len(test)
         )

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile
-from egolane_pgm.inference.expected_counts import FREE, Expected, counted_tables, expected_counts
+from egolane_pgm.inference.compile import Compiled, compile, counted_tables
+from egolane_pgm.inference.expected_counts import FREE, Expected, expected_counts
 from egolane_pgm.types import Evidence, InputError, IntArray
 from tests.conformance.networks import (
     compiled_graph,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.inference.compile import Compiled, counted_tables
+from egolane_pgm.inference.expected_counts import FREE
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.studies.em import drawn_tables, fit_tables

@@ -15,8 +15,7 @@ from scipy import stats
 import egolane_pgm as ego
 from egolane_pgm.drives import Drive
 from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.inference.compile import compile_tables
-from egolane_pgm.inference.expected_counts import free_parameters
+from egolane_pgm.inference.compile import compile_tables, free_parameters
 from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.studies import explore as module
 from egolane_pgm.studies import structures
