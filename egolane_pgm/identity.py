@@ -101,7 +101,7 @@ MIN_SHARED = 2
 MOST_RANGES = 50
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Marks:
     """Numbers of 32 bits that identify a recording and its labels, whatever the frame ids.
 

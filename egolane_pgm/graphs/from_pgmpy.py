@@ -232,6 +232,7 @@ def read_file(path: Path) -> Any:
         raise InputError(f"{path}: is empty")
     if path.suffix == ".bif":
         text = _without_commas(text)
+    text = _with_slices(text)
     with quiet():
         from pgmpy.readwrite import BIFReader, XMLBIFReader
 
@@ -260,6 +261,18 @@ def _without_commas(text: str) -> str:
     }
     for name, plain in named.items():
         text = text.replace(name, plain)
+    return text
+
+
+def _with_slices(text: str) -> str:
+    """Return a file with pyAgrum's names of two slices, `Lane0` and `Lanet`, as `Lane_0` and
+    `Lane_1`."""
+    names = {*re.findall(r"variable\s+(\w+)", text), *re.findall(r"<NAME>\s*(\w+)", text)}
+    for name in names:
+        stem = name.removesuffix("0")
+        if stem != name and f"{stem}t" in names:
+            text = re.sub(rf"\b{stem}0\b", f"{stem}_0", text)
+            text = re.sub(rf"\b{stem}t\b", f"{stem}_1", text)
     return text
 
 

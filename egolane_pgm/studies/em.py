@@ -14,13 +14,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, counted_tables, takes_any_model, with_tables
 from egolane_pgm.inference.expected_counts import expected_counts
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 #: The iterations end when the log posterior grows by less than this, nats per frame.
 TOLERANCE = 1e-6
@@ -30,6 +31,9 @@ _NEGLIGIBLE = 1e-280
 
 #: The smallest probability whose logarithm counts in the M step of numbers.
 _TINY = 1e-300
+
+#: Nodes with more values are not searched for values with the same tables.
+_FEW = 10
 
 _SMALLEST = float(np.finfo(np.float64).tiny)
 
@@ -114,8 +118,9 @@ def fit_tables(
     - steps: the M steps of tables that have a form of their own.
     - start: tables to start from instead; the prior stays around those of the network.
 
-    A node that has the same table in the first frame and later keeps one table. Raises InputError
-    as `expected_counts`.
+    A node that has the same table in the first frame and later keeps one table. Warns of values
+    that have the same tables, which EM cannot tell apart. Raises InputError as `expected_counts`,
+    and for a negative strength.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -124,9 +129,17 @@ def fit_tables(
     >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
     True
     """
+    weights = strength.values() if isinstance(strength, Mapping) else (strength,)
+    if not all(0 <= weight < np.inf for weight in weights):
+        raise InputError(f"strength: {strength} is not a number of frames, 0 or more")
     declared, steps = counted_tables(compiled), steps or {}
     free = {node: table for node, table in declared.items() if node not in steps}
     now = {**declared, **(start or {})}
+    for name in set(compiled.hidden).difference(known or (), compiled.observed):
+        if twins := _same_values({**compiled.tables, **now}, name):
+            first, second = (compiled.values[name][k] for k in twins)
+            note = f"{name}: {first} and {second} have the same tables, so EM cannot tell them"
+            warnings.warn(f"{note} apart; give it others (start)", UserWarning, stacklevel=2)
     of_steps = dict.fromkeys(steps, 0.0)
 
     def current() -> tuple[Compiled, float]:
@@ -148,6 +161,23 @@ def fit_tables(
         return current()
 
     return iterate(*current(), (evidence, known, is_first), maximise, iterations)
+
+
+def _same_values(tables: Mapping[SliceNode, Table], name: str) -> tuple[int, int] | None:
+    """Return two values of a node that can be exchanged in all tables, or None."""
+    n_values = tables[name, 0].values.shape[-1]
+    for pair in combinations(range(n_values), 2) if n_values <= _FEW else ():
+        order = np.arange(n_values)
+        order[[*pair]] = order[[*pair[::-1]]]
+        exchanged = True
+        for table in tables.values():
+            values = table.values
+            for axis, (other, _) in enumerate((*table.parents, table.node)):
+                values = values.take(order, axis) if other == name else values
+            exchanged &= np.array_equal(values, table.values)
+        if exchanged:
+            return pair
+    return None
 
 
 def strength_of(strength: float | Mapping[str, float], node: str) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import egolane_pgm as ego
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
@@ -321,3 +322,19 @@ def test_a_file_that_is_no_network_is_refused(
         read_file(tmp_path / name)
     assert str(error.value).startswith(f"{tmp_path / name}: {said}")
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("suffix", [".bif", ".xmlbif"])
+def test_the_slices_of_pyagrum_are_read(suffix: str, tmp_path: Path) -> None:
+    network = DiscreteBayesianNetwork([("Lane0", "Lanet"), ("Lane0", "Det0"), ("Lanet", "Dett")])
+    rows = [[0.9, 0.2], [0.1, 0.8]]
+    network.add_cpds(
+        TabularCPD("Lane0", 2, [[0.3], [0.7]]),
+        TabularCPD("Lanet", 2, rows, ["Lane0"], [2]),
+        TabularCPD("Det0", 2, rows, ["Lane0"], [2]),
+        TabularCPD("Dett", 2, rows, ["Lanet"], [2]),
+    )
+    writer = BIFWriter if suffix == ".bif" else XMLBIFWriter
+    writer(network).write(tmp_path / f"g{suffix}")
+    compiled = ego.compile(tmp_path / f"g{suffix}", observed=["Det"])
+    np.testing.assert_allclose(compiled.transition[0], np.transpose(rows))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.inference.compile import Compiled, counted_tables
+from egolane_pgm.graphs.cpds import dynamics, previous, prior, uniform, within
+from egolane_pgm.inference.compile import Compiled, compile_tables, counted_tables
 from egolane_pgm.inference.expected_counts import FREE
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.studies.em import drawn_tables, fit_tables
-from egolane_pgm.types import Evidence, IntArray
+from egolane_pgm.types import Evidence, InputError, IntArray
 from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
 
@@ -126,3 +128,25 @@ def test_each_table_has_its_own_strength_and_the_prior_does_not_depend_on_the_st
     )
     log_evidence = filter_beliefs(fitted.compiled, evidence).log_evidence.sum()
     assert fitted.log_posterior[-1] == pytest.approx(log_evidence + prior)
+
+
+def test_values_with_the_same_tables_are_warned_of(recwarn: pytest.WarningsRecorder) -> None:
+    same = within("O", ["S"], uniform(2, 3))
+    tables = [*prior("S", uniform(2)), *dynamics("S", [previous("S")], uniform(2, 2)), *same]
+    compiled = compile_tables(tables, hidden=["S"], observed=["O"])
+    evidence = draw_evidence(compiled, 50, np.random.default_rng(0), zeros=0)
+    with pytest.warns(UserWarning, match="S: 0 and 1 have the same tables, so EM cannot tell"):
+        fit_tables(compiled, evidence, iterations=2)
+    recwarn.clear()
+    fit_tables(compiled, evidence, {"S": np.zeros(50, dtype=int)}, iterations=2)
+    other = dict(counted_tables(compiled))
+    other["O", 1] = replace(other["O", 1], values=np.array([[0.5, 0.3, 0.2], [0.2, 0.3, 0.5]]))
+    fit_tables(compiled, evidence, start=other, iterations=2)
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("strength", [-1, np.inf, {"S": -2}])
+def test_a_strength_below_zero_is_refused(strength: Any) -> None:
+    compiled, evidence = paper_case(), Evidence({})
+    with pytest.raises(InputError, match=r"strength: .* is not a number of frames, 0 or more"):
+        fit_tables(compiled, evidence, strength=strength)
