@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.contracts import Graph, Rule, RuleStep
-from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment, Origin
+from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment, Origin, TrainedOn
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.graphs.yaml_graph import graph_of
@@ -92,7 +92,7 @@ class Model:
 
     @property
     def free_parameters(self) -> int:
-        """Number of free parameters of the network, see `expected_counts.free_parameters`."""
+        """Number of free parameters of the network, see `compile.free_parameters`."""
         return free_parameters(counted_tables(self.compiled))
 
     def __repr__(self) -> str:
@@ -330,16 +330,21 @@ def _rows(table: Table) -> dict[str, Any]:
     return {"rows": {**({"of": of} if of else {}), "values": table.values.tolist()}}
 
 
-def with_own_values(model: Model, origin: Origin) -> Model:
-    """Return the model of an experiment that has its numbers: the values of all parameters, and
-    fitted tables as its graph.
+def with_own_values(
+    model: Model, trained: tuple[TrainedOn, ...], *, has_tables: bool = True
+) -> Model:
+    """Return the model of an experiment that has the numbers of a fit: the values of all
+    parameters, and fitted tables as its graph.
 
-    - origin: what the numbers were trained on.
+    - trained: the training drives.
+    - has_tables: whether tables were fitted.
     """
     e, names = model.experiment, {*model.parameters, DETECTOR}
-    changes: dict[str, Any] = {"tuned_on": origin}
-    if model.learned_from is not None:
-        changes["graph"] = graph_in_memory(model, origin)
+    # Parameters that this fit keeps may be of an earlier one.
+    earlier = e.tuned_on if isinstance(e.tuned_on, tuple) else ()
+    changes: dict[str, Any] = {"tuned_on": (*earlier, *trained)}
+    if has_tables:
+        changes["graph"] = graph_in_memory(model, trained)
         # The graph of learned tables has no parameters; only the rule's remain.
         names = {DETECTOR, *(spec.name for spec in model.rule.parameters)}
     values = {**e.parameters, **model.parameters}

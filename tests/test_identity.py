@@ -96,6 +96,21 @@ def test_other_frames_of_the_drive_are_held_out(folder: Path) -> None:
         assert (found.run["tuned_on"], lines) == (expected, lines)
 
 
+def test_a_second_fit_keeps_what_the_first_was_trained_on(folder: Path) -> None:
+    first = ego.learn(keys(folder, "lines.csv", frames=[0, 200]), folds=0)
+    changes = {"recording.frames": [200, 400], "fit.sampler": "random"}
+    second = ego.tune(first, overrides=changes, trials=2, folds=0)
+    for frames, expected in (
+        ([0, 200], "same_frames"),
+        ([200, 400], "same_frames"),
+        ([400, 600], "other_frames"),
+    ):
+        found = ego.run(second, overrides={"recording.frames": frames})
+        assert (found.run["tuned_on"], frames) == (expected, frames)
+    alone = ego.run(keys(folder, "lines.csv", frames=[200, 400]), graph=second)
+    assert alone.run["tuned_on"] == "other_frames"
+
+
 def test_the_saved_result_of_a_fit_has_its_model(tmp_path: Path) -> None:
     study = ego.learn("quickstart", overrides=SHORT, folds=0)
     loaded = ego.load_result(study.in_sample.save(tmp_path / "saved"))

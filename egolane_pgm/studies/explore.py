@@ -430,8 +430,8 @@ def _model_of(problem: Problem, structure: Structure) -> Model:
     """The model of a structure, fitted to all trusted frames."""
     whole = everything(problem.drives)
     learned, _ = fitted(problem, structure, whole)
-    origin = training_of_fold(problem.drives, whole)
-    return with_own_values(replace(problem.model, compiled=learned, learned_from=origin), origin)
+    trained = training_of_fold(problem.drives, whole)
+    return with_own_values(replace(problem.model, compiled=learned), trained)
 
 
 def _greedy(tried: Tried, edges: Sequence[Edge]) -> Structure:

@@ -21,9 +21,9 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import FitSettings
+from egolane_pgm.experiment import Experiment, FitSettings, TunedOn
 from egolane_pgm.graphs.cpds import SliceNode, Table
-from egolane_pgm.identity import content_of, digest_of
+from egolane_pgm.identity import content_of, digest_of, most_in_sample
 from egolane_pgm.inference.compile import Compiled, counted_tables
 from egolane_pgm.inference.expected_counts import FREE
 from egolane_pgm.inference.filtering import METHODS
@@ -193,9 +193,9 @@ def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         )
     if (n_starts := options.trials or 1) > MOST_STARTS:
         raise InputError(f"{source}: fit.trials: EM takes at most {MOST_STARTS} starts")
-    if kept := kept_though_tuned(model):
+    tuned_on = most_in_sample(drive.tuned_on() for drive in drives)
+    if kept := kept_though_tuned(model, tuned_on):
         note = f"{', '.join(kept)} kept, so held-out scores may be in-sample"
-        tuned_on = model.experiment.tuned_on
         warnings.warn(f"{source}: tuned_on {tuned_on}: {note}", UserWarning, stacklevel=2)
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
@@ -321,16 +321,21 @@ def start_of_learning(model: Model) -> Model:
     Parameters of the graph that may have been tuned on these frames start from their defaults.
     """
     values = dict(model.parameters)
-    if model.experiment.tuned_on in ("same_frames", "unknown"):
+    if may_be_tuned(model.experiment):
         own = model.graph.parameters
         values |= {spec.name: spec.default for spec in own if spec.is_searched}
     return with_parameters(model, _resolve(model, values))
 
 
-def kept_though_tuned(model: Model) -> list[str]:
+def may_be_tuned(experiment: Experiment) -> bool:
+    """Whether the parameters of an experiment may have been tuned on the frames to learn from."""
+    return experiment.tuned_on not in ("not_tuned", "other_drive", "other_frames")
+
+
+def kept_though_tuned(model: Model, tuned_on: TunedOn) -> list[str]:
     """Parameters that learning keeps though they may have been tuned on the training frames."""
     e = model.experiment
-    if e.tuned_on not in ("same_frames", "unknown"):
+    if tuned_on not in ("same_frames", "same_drive", "unknown"):
         return []
     kept = [
         s.name
@@ -338,7 +343,7 @@ def kept_though_tuned(model: Model) -> list[str]:
         if s.is_searched and model.parameters[s.name] != s.default
     ]
     starts_anew = any(s.is_searched for s in model.graph.parameters)
-    is_tuned_graph = e.tuned_on == "same_frames" and not starts_anew
+    is_tuned_graph = tuned_on != "unknown" and not starts_anew
     return [*kept, *[f"graph {e.graph_name}"] * is_tuned_graph]
 
 

@@ -20,12 +20,13 @@ import pandas as pd
 
 from egolane_pgm.contracts import Graph
 from egolane_pgm.drives import Drive, drive_key, read_drives
-from egolane_pgm.experiment import DETECTOR, Experiment, Origin, TrainedOn, resolved
+from egolane_pgm.experiment import DETECTOR, Experiment, TrainedOn, resolved
 from egolane_pgm.identity import compared, data_files, digest, most_in_sample, trained_on
 from egolane_pgm.model import Model, with_own_values
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
+    TABLES,
     Fit,
     Fitted,
     apply_fit,
@@ -208,14 +209,17 @@ def inferred_frames(drive: Drive) -> pd.DataFrame:
     return frames
 
 
-def fitted_drive(drive: Drive, fitted: Fitted, origin: Origin | None = None) -> Drive:
+def fitted_drive(
+    drive: Drive, fitted: Fitted, trained: tuple[TrainedOn, ...] | None = None
+) -> Drive:
     """The drive with a fit in its model; other detector parameters detect its lines again.
 
-    - origin: what a final fit was trained on; its experiment then has the fitted numbers.
+    - trained: the training drives of a final fit, whose experiment has the fitted numbers.
     """
     model = apply_fit(drive.model, fitted)
-    if origin is not None:
-        model = with_own_values(model, origin)
+    if trained is not None:
+        has_tables = any(name.startswith(TABLES) for name in fitted)
+        model = with_own_values(model, trained, has_tables=has_tables)
     if model.experiment.parameters.get(DETECTOR) == drive.experiment.parameters.get(DETECTOR):
         return replace(drive, model=model)
     [again] = read_drives(model.experiment)
@@ -457,8 +461,8 @@ def run_study(
     shared: Any = {"jobs": work.jobs, "cluster": work.cluster}
     with noting() as of_fits:
         whole, *fitted = fit_folds(drives, fit, numbered, **shared)
-        origin = training_of_fold(drives, whole_fold)
-        final = [fitted_drive(drive, whole, origin) for drive in drives]
+        trained = training_of_fold(drives, whole_fold)
+        final = [fitted_drive(drive, whole, trained) for drive in drives]
         frames = concat_drives(final, [inferred_frames(drive) for drive in final])
     notes = [*notes, *of_fits]
     trials = pd.DataFrame() if whole.trials is None else whole.trials
