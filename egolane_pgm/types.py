@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self
 
@@ -179,8 +179,9 @@ class _Frames:
     def _each(self, parts: Sequence[Self], change: Callable[[list[Any]], Any]) -> Self:
         """Return a container whose arrays are made from those of the parts."""
         changed: dict[str, Any] = {}
-        for name, value in vars(self).items():
+        for name in (each.name for each in fields(self)):  # type: ignore[arg-type]
             of_parts = [getattr(part, name) for part in parts]
+            value = getattr(self, name)
             if isinstance(value, np.ndarray):
                 changed[name] = change(of_parts)
             elif isinstance(value, Mapping) and name != "values":

@@ -69,8 +69,8 @@ def searched(run: int) -> tuple[Structure, pd.Series, Structure, Tried]:
 def gain_of(tried: Tried, structure: Structure) -> FloatArray:
     """The gain in held-out log-loss of each frame, and whether it counts (K, 2)."""
     tried([frozenset(), structure])
-    (mine,), (start,) = (tried.values(each) for each in (structure, frozenset()))
-    return np.stack([np.nan_to_num(mine - start), ~np.isnan(mine)], axis=1)
+    (mine,), (start,) = (tried.summands(each) for each in (structure, frozenset()))
+    return np.stack([start[:, 0] - mine[:, 0], mine[:, 1]], axis=1)
 
 
 def edges() -> None:

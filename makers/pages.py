@@ -91,7 +91,7 @@ def tuned() -> None:
         untrusted = {
             "untrusted_frames": ego.load_experiment(paper_experiment(run)).fit.untrusted_frames
         }
-        best = {**study.experiment(), "name": study.name, "fit": untrusted}
+        best = {**study.experiment.keys, "name": study.name, "fit": untrusted}
         ego.run(best, held_out=True, out=folders[1] / study.name, figures=False)
     heading = (
         "# The paper's parameters searched for each run\n\nMade by `make tuned`: 3,000 trials a"
