@@ -15,6 +15,7 @@ from typing import Any
 
 import egolane_pgm as ego
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.verbs import compare
 from egolane_pgm.views.tables import page, table
@@ -50,8 +51,9 @@ def compared(
     - events: show the scores of lane changes.
     """
     found = ego.compare(folders, of="folder", detector=detector)
-    if not events:
-        found = found.drop(columns=[c for c in found if str(c).startswith("event_")])
+    left_out = tuple({*SCORES} - {"accuracy", "f1", "log_loss", "log_evidence"})
+    left_out += ("event_",) * (not events)
+    found = found.drop(columns=[c for c in found if str(c).startswith(left_out)])
     each = ego.compare(folders, of="folder", by="name", detector=detector)
     order = each.index.get_level_values("folder").unique()
     table_of_each = page([table(each["accuracy"].unstack()[order])], style="wide")
