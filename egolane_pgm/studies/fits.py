@@ -516,6 +516,11 @@ def open_study(
     }
     known = json.loads(json.dumps(to_jsonable(content)))
     before = study.user_attrs.get("identity", known)
+    if not isinstance(before, dict) or before.keys() != known.keys():
+        raise InputError(
+            f"study {name}: was written by another version, or is damaged; name another directory"
+            " or storage"
+        )
     if before != known:
         what = ", ".join(key for key in known if before[key] != known[key])
         raise InputError(
