@@ -213,6 +213,11 @@ def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="the storage holds another study of this") as caught:
             tuned([given], fit=fit, directory=out)
         assert said in str(caught.value)
+    older = contents(out)["study.journal"].replace(b'"sampler":', b'"method":')
+    (tmp_path / "older").mkdir()
+    (tmp_path / "older" / "study.journal").write_bytes(older)
+    with pytest.raises(InputError, match="study a: was written by another version, or is damaged"):
+        tuned([drive], directory=tmp_path / "older")
     # Optuna's journal has a line for each time that it is opened.
     assert tuned([drive], directory=out).trials["accuracy"].size == 6
     assert contents(out).keys() == before.keys()
