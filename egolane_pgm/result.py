@@ -37,6 +37,7 @@ from egolane_pgm.scoring import score_all
 from egolane_pgm.scoring.events import Reported, event_delays, score_events, stability_scores
 from egolane_pgm.tools.files import (
     check_place,
+    checksum,
     read_parquet,
     replaced_directory,
     to_jsonable,
@@ -201,7 +202,8 @@ class Result:
             write_yaml(place / "experiment.yaml", self._write_inputs(place))
             self.events.round(6).to_csv(place / "events.csv", index=False)
             write_json(place / "scores.json", self.scores)
-            write_json(place / "run.json", self.run)
+            kept = {**self.run, "checksum": checksum(self.run, place, _WITH_CHECKSUM)}
+            write_json(place / "run.json", kept)
             if figures:
                 from egolane_pgm.views.strips import result_strips
                 from egolane_pgm.views.style import write_figure
@@ -253,6 +255,9 @@ FILES = (
     "graph.yaml",
     "figures",
 )
+
+#: The files that the checksum in run.json covers, as it covers run.json itself.
+_WITH_CHECKSUM = ("scores.json", "beliefs.parquet", "lines.parquet")
 
 
 def is_of_result(name: str) -> bool:
@@ -316,10 +321,14 @@ def _read_result(place: Path) -> Result:
         if len(frames) != run["frames"]:
             raise ValueError(f"beliefs.parquet has {len(frames)} of {run['frames']} frames")
         experiment = load_experiment(place / "experiment.yaml")
-        return Result(experiment, frames, run, scores, _read_lines(place, experiment), place)
+        lines = _read_lines(place, experiment)
+        # Results of older versions have none.
+        if run.pop("checksum", None) not in (None, checksum(run, place, _WITH_CHECKSUM)):
+            raise ValueError("its files differ from the checksum in run.json")
+        return Result(experiment, frames, run, scores, lines, place)
     except InputError:
         raise
-    except (ValueError, KeyError, OSError) as error:
+    except (ValueError, KeyError, TypeError, OSError) as error:
         why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise InputError(f"{place}: is damaged ({why}); run the experiment again") from error
 
@@ -367,7 +376,7 @@ def stored(
         found = run["identity"], run["tags"], run.get("blocks")
         is_same = found == (digest_of(content_of(experiment)), dict(tags), n_blocks)
         return load_result(directory) if is_same else None
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 

@@ -297,8 +297,13 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
     return change
 
 
+def rewrite_beliefs(folder: Path) -> None:
+    file = folder / "beliefs.parquet"
+    pd.read_parquet(file).astype({"SensorState_OK": str}).to_parquet(file)
+
+
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda d: (d / "run.json").unlink(), "is not a result directory (no run.json and scor"),
         (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "cannot be read as Parquet"),
@@ -307,10 +312,14 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
         (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
         (lambda d: (d / "scores.json").write_text("[]"), "scores.json need keys and values"),
         (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
+        (rewrite("run.json", n_lanes="x"), "is damaged (TypeError: "),
+        (rewrite("run.json", warnings=5), "its files differ from the checksum in run.json"),
+        (rewrite("scores.json", sure="x"), "its files differ from the checksum in run.json"),
+        (rewrite_beliefs, "its files differ from the checksum in run.json"),
     ],
 )
 def test_a_damaged_result_is_refused_in_a_line_that_names_it(
-    saved: Path, tmp_path: Path, change: Callable[[Path], object], said: str
+    saved: Path, tmp_path: Path, change: Callable[[Path], object], message: str
 ) -> None:
     copy = shutil.copytree(saved, tmp_path / "copy")
     load_result(copy)
@@ -318,7 +327,7 @@ def test_a_damaged_result_is_refused_in_a_line_that_names_it(
     with pytest.raises(InputError) as info:
         load_result(copy)
     assert str(info.value).startswith(str(copy))
-    assert said in str(info.value)
+    assert message in str(info.value)
     assert "\n" not in str(info.value)
 
 

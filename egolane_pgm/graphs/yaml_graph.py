@@ -89,6 +89,11 @@ def load_graph_file(path: Path, name: str, where: str) -> Graph:
     """Read a graph from a YAML file. Raises InputError if its parts do not fit together."""
     with problems_in(where):
         keys = read_yaml(path, "nodes: {Lane: 2}")
+        if not {"nodes", "tables"} & keys.keys():
+            raise InputError(
+                f"{path.name}: has no nodes and no tables, so it is not a graph; an experiment is"
+                f" checked by `egolane run {path.name} --dry-run`"
+            )
         return graph_of(keys, name, path.name, file=str(path))
 
 

@@ -64,6 +64,7 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
     Raises InputError if the clocks do not overlap, and as `lanes_at`.
     """
     time_s = log.time_s
+    n_lanes = lanes_at(table, time_s)
     first = table.t_s.iloc[0]
     last = table.t_s.iloc[-1]
     if time_s[-1] < first or time_s[0] > last:
@@ -71,7 +72,7 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
             f"{table.attrs['source']}: has the times {first:g} to {last:g} s, and {log.source} has"
             f" {time_s[0]:g} to {time_s[-1]:g} s: they do not overlap"
         )
-    return lanes_at(table, time_s)
+    return n_lanes
 
 
 def lanes_at(table: pd.DataFrame, time_s: FloatArray) -> IntArray:

@@ -510,7 +510,12 @@ def open_study(
     if storage is None:
         return new_study(settings)
     name = drives[0].experiment.name + ("" if fold is None else f" without fold {fold + 1}")
-    study = new_study(settings, storage=open_storage(storage), study_name=name)
+    cure = "the storage is damaged; name another directory or storage"
+    try:
+        study = new_study(settings, storage=open_storage(storage), study_name=name)
+    except json.JSONDecodeError as error:
+        # Optuna finds a damaged last line when another one follows it.
+        raise InputError(f"study {name}: {error}: {cure}") from error
     content = {
         "objective": settings.objective,
         "sampler": sampler_name(settings.sampler),
@@ -521,6 +526,11 @@ def open_study(
     }
     known = json.loads(json.dumps(to_jsonable(content)))
     before = study.user_attrs.get("identity", known)
+    if not isinstance(before, dict) or before.keys() != known.keys():
+        raise InputError(
+            f"study {name}: was written by another version, or is damaged; name another directory"
+            " or storage"
+        )
     if before != known:
         what = ", ".join(key for key in known if before[key] != known[key])
         raise InputError(
@@ -530,10 +540,10 @@ def open_study(
     keys = set(space.distributions)
     for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         if missing := keys - trial.params.keys():
-            raise InputError(
-                f"study {name}: trial {trial.number} has no {min(missing)}: the storage is damaged;"
-                " name another directory or storage"
-            )
+            raise InputError(f"study {name}: trial {trial.number} has no {min(missing)}: {cure}")
+        is_whole = len(trial.values or ()) == len(settings.objective)
+        if not is_whole or bool in map(type, trial.params.values()):
+            raise InputError(f"study {name}: trial {trial.number} has other values: {cure}")
     study.set_user_attr("identity", known)
     return study
 

@@ -41,6 +41,7 @@ from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import (
     check_place,
+    checksum,
     make_directory,
     to_jsonable,
     write_json,
@@ -56,6 +57,9 @@ N_BLOCKS = 5
 
 #: The file that makes the directory of a study complete.
 STUDY_FILE = "study.json"
+
+#: The files that the checksum in study.json covers, as it covers study.json itself.
+TABLES = ("trials.parquet", "profile.parquet")
 
 
 class Fold(NamedTuple):
@@ -326,7 +330,9 @@ class Study:
                 write_parquet(place / f"{name}.parquet", rows)
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
-        write_json(place / STUDY_FILE, self.document)
+        content = self.document
+        kept = {**content, "checksum": checksum(content, place, TABLES)}
+        write_json(place / STUDY_FILE, kept)
         return place
 
     @property

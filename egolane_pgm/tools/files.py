@@ -35,6 +35,13 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def checksum(content: Mapping[str, Any], folder: Path, names: Iterable[str]) -> str:
+    """Return a checksum of the content of a JSON file and of those files in `folder` that exist."""
+    files = [folder / name for name in names]
+    sums = [file_sha256(file) for file in files if file.exists()]
+    return hashlib.sha256("".join([json_text(content), *sums]).encode()).hexdigest()
+
+
 # --- writing ---------------------------------------------------------------------------------
 
 

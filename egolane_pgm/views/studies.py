@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.scoring.scores import SCORES
+from egolane_pgm.studies.study import TABLES
+from egolane_pgm.tools.files import checksum, reading
 from egolane_pgm.types import InputError
 from egolane_pgm.views.result_text import drive_parts
 from egolane_pgm.views.style import (
@@ -195,11 +197,14 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
             f"{directory}: is not the directory of a search; draw the results of another study with"
             f" `egolane plot {directory / 'held_out'}`"
         )
-    document = json.loads((directory / "study.json").read_text())
-    trials = pd.read_parquet(directory / "trials.parquet")
-    trials = trials[trials["state"] == "COMPLETE"].copy()
-    settings = document["settings"]
-    trials["score"] = trials[settings["objectives"][0]]
+    with reading(directory, "a study"):
+        document = json.loads((directory / "study.json").read_text())
+        # Studies of older versions have none.
+        if document.pop("checksum", None) not in (None, checksum(document, directory, TABLES)):
+            raise ValueError("its files differ from the checksum in study.json")
+        trials = pd.read_parquet(directory / "trials.parquet")
+        trials = trials[trials["state"] == "COMPLETE"].copy()
+        trials["score"] = trials[document["settings"]["objectives"][0]]
     if trials.empty:
         raise InputError(f"{directory}: has no complete trial to draw")
     return document, trials.sort_values("number", ignore_index=True)

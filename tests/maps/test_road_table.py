@@ -45,6 +45,7 @@ def test_frames_have_the_lanes_known_last(
         ([3, 3], [100.0, 101.0], "has the times 10 to 11 s, and .* has 100 to 101 s: they do not"),
         ([3, 3], [1.0, 2.0], "has 1 to 2 s: they do not overlap"),
         ([0, 0], [10.0, 11.0], "no row has a number of lanes"),
+        ([], [10.0, 11.0], "no row has a number of lanes"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused_in_one_line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -219,6 +220,25 @@ def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:
     result = run(simulated()).save(tmp_path / "result")
     with pytest.raises(InputError, match="is a result directory; name another one"):
         tuned([drive], directory=result)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "damage", "message"),
+    [
+        (rb'"sampler":', b'"method":', "was written by another version, or is damaged; name"),
+        (rb'"values": \[[^]]+\]', b'"values": []', "trial 0 has other values: the storage is dam"),
+        (rb'"param_name": "sigma1"', b'"param_name": "s"', "trial 0 has no sigma1: the storage is"),
+        (rb"\Z", b"{\n", "line . column .*: the storage is damaged"),
+    ],
+)
+def test_a_damaged_study_or_one_of_another_version_is_refused(
+    tmp_path: Path, pattern: bytes, damage: bytes, message: str
+) -> None:
+    drive, journal = drive_of(simulated()), tmp_path / "study.journal"
+    tuned([drive], directory=tmp_path)
+    journal.write_bytes(re.sub(pattern, damage, journal.read_bytes(), count=1))
+    with pytest.raises(InputError, match=message):
+        tuned([drive], directory=tmp_path)
 
 
 def test_processes_find_the_same_as_one() -> None:

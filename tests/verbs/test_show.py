@@ -92,6 +92,7 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("no_wor --out {0}/g.txt", "g.txt: unknown format; a figure ends in .png, .svg, "),
         ("{0}/own.bif --out {0}/own.bif", "own.bif: is read here"),
         ("ml --out {0}/g.png", "only a graph"),
+        ("{0}/x.yaml", "x.yaml: has no nodes and no tables, so it is not a graph; an experiment"),
     ],
 )
 def test_a_name_that_cannot_be_shown_is_refused_in_a_line(
@@ -100,6 +101,7 @@ def test_a_name_that_cannot_be_shown_is_refused_in_a_line(
     (tmp_path / "both.py").write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
     (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
     (tmp_path / "own.bif").touch()
+    (tmp_path / "x.yaml").write_text("include: quickstart.yaml\n")
     assert message.format(tmp_path) in refused("show", *words.format(tmp_path).split())
 
 

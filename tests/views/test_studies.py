@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,11 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     assert all(file.stat().st_size > 1000 for file in files)
     document, trials = read_trials(study.directory)
     assert len(trials) == 24
+    for name, damage in (("study.json", "{"), ("study.json", "{}"), ("trials.parquet", "PAR1")):
+        copy = shutil.copytree(study.directory, tmp_path / "copy", dirs_exist_ok=True)
+        (copy / name).write_text(damage)
+        with pytest.raises(InputError, match=r"copy: cannot be read as a study \("):
+            read_trials(copy)
     lines = history_figure(trials, document, "").axes[0].lines
     best = next(line for line in lines if str(line.get_label()).startswith("best"))
     np.testing.assert_array_equal(best.get_ydata(), trials["score"].cummax())
