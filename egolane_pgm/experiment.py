@@ -70,6 +70,11 @@ def _check_sampler(value: Any) -> Any:
     return value
 
 
+def _sampler_name(value: Any) -> Any:
+    """The name of a sampler, or of the class of an object."""
+    return value if value is None or isinstance(value, str) else type(value).__name__
+
+
 def _check_strength(value: Any) -> Any:
     weights = value.values() if isinstance(value, Mapping) else (value,)
     are_numbers = all(isinstance(each, (int, float)) for each in weights)
@@ -313,7 +318,10 @@ class FitSettings(Section):
         examples=["accuracy", ["accuracy", "log_loss"], "log_evidence"],
     )
     sampler: Annotated[
-        Any, AfterValidator(_check_sampler), WithJsonSchema({"type": ["string", "null"]})
+        Any,
+        AfterValidator(_check_sampler),
+        PlainSerializer(_sampler_name, when_used="json"),
+        WithJsonSchema({"type": ["string", "null"]}),
     ] = Field(
         default=None,
         description="tune: the sampler; by default `evolution`, or `nsga2` for several scores; also"

@@ -100,7 +100,8 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
         )
     if policy == "skip":
         return log
-    if policy == "predict" and log.frame_id[0] - last.frame_id[0] > MOST_PREDICTED:
+    gap = log.frame_id[0] - last.frame_id[0]
+    if policy == "predict" and MOST_PREDICTED < gap <= MAX_FILLED:
         near = log.time_s[:1] - MOST_PREDICTED / frame_rate
         last = replace(last, frame_id=log.frame_id[:1] - MOST_PREDICTED, time_s=near)
     return fill_missing(LineLog.concat([last, log]), policy, frame_rate).take(slice(1, None))
