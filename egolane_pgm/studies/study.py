@@ -59,7 +59,7 @@ N_BLOCKS = 5
 STUDY_FILE = "study.json"
 
 #: The files that the checksum in study.json covers, as it covers study.json itself.
-TABLES = ("trials.parquet", "profile.parquet")
+STUDY_TABLES = ("trials.parquet", "profile.parquet")
 
 
 class Fold(NamedTuple):
@@ -331,7 +331,7 @@ class Study:
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
         content = self.document
-        kept = {**content, "checksum": checksum(content, place, TABLES)}
+        kept = {**content, "checksum": checksum(content, place, STUDY_TABLES)}
         write_json(place / STUDY_FILE, kept)
         return place
 
