@@ -82,8 +82,6 @@ def plot(
 
     def target(place: Path) -> Path:
         if out is None:
-            if (place / "figures").is_symlink():
-                raise InputError(f"{place}/figures: is a link; name a folder (--out)")
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 

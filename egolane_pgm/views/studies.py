@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.scoring.scores import SCORES
+from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError
 from egolane_pgm.views.result_text import drive_parts
 from egolane_pgm.views.style import (
@@ -177,7 +178,7 @@ def draw_study(
     name = f"{document['name']}: {len(trials)} trials"
     file = place / "profile.parquet"
     profile = (
-        pd.read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
+        read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
     )
     figures: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials, document, name),
@@ -196,7 +197,7 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
             f" `egolane plot {directory / 'held_out'}`"
         )
     document = json.loads((directory / "study.json").read_text())
-    trials = pd.read_parquet(directory / "trials.parquet")
+    trials = read_parquet(directory / "trials.parquet")
     trials = trials[trials["state"] == "COMPLETE"].copy()
     settings = document["settings"]
     trials["score"] = trials[settings["objectives"][0]]
