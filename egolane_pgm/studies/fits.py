@@ -515,7 +515,7 @@ def open_study(
         "data": drives_digest(drives, train, _IN_SPACE),
     }
     known = json.loads(json.dumps(to_jsonable(content)))
-    before = study.user_attrs.get("identity", known)
+    before = known | study.user_attrs.get("identity", {})
     if before != known:
         what = ", ".join(key for key in known if before[key] != known[key])
         raise InputError(
