@@ -306,7 +306,7 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
         (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: cannot be read"),
         (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
         (lambda d: (d / "scores.json").write_text("[]"), "scores.json need keys and values"),
-        (rewrite("run.json", frames=7), "beliefs.parquet has 141 of 7 frames"),
+        (rewrite("run.json", frames=7), "beliefs.parquet has 150 of 7 frames"),
         (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
     ],
 )

@@ -16,7 +16,7 @@ EXECUTES = [
     "label {yaml}",
     "tune {yaml} --trials 1 --folds 0",
     "learn {yaml} --folds 0",
-    "explore {yaml}",
+    "explore {yaml} --edge x",
     "show {folder}/mine.py",
     "run quickstart --dry-run --graph {folder}/mine.py",
     "run {result}/experiment.yaml",
