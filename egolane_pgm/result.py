@@ -36,6 +36,7 @@ from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
 from egolane_pgm.scoring.events import Reported, event_delays, score_events, stability_scores
 from egolane_pgm.tools.files import (
+    check_no_link,
     check_place,
     checksum,
     read_parquet,
@@ -262,7 +263,7 @@ _WITH_CHECKSUM = ("scores.json", "beliefs.parquet", "lines.parquet")
 
 def is_of_result(name: str) -> bool:
     """Whether a file of this name in a result directory belongs to the result."""
-    return name in FILES or name.startswith(("evidence_", "graph_"))
+    return name in FILES or (name.startswith(("evidence_", "graph_")) and name.endswith(OWN_FILES))
 
 
 def is_result(directory: str | os.PathLike[str]) -> bool:
@@ -272,15 +273,16 @@ def is_result(directory: str | os.PathLike[str]) -> bool:
 
 def check_writable(directory: Path) -> None:
     """Raise InputError if a result cannot be written there; called before the computation."""
-    if directory.is_symlink():
-        raise InputError(f"{directory}: is a link; name a folder")
+    check_no_link(directory)
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file, not a directory")
+    if directory.is_mount() or directory.absolute() == Path.cwd():
+        raise InputError(f"{directory}: cannot be replaced; name a folder in it")
     # The first file of a result, which may have been interrupted.
     is_ours = (directory / "beliefs.parquet").exists() or not directory.exists()
     if not is_ours and any(directory.iterdir()):
         raise InputError(f"{directory}: exists and is not a result directory; name another one")
-    check_place(directory / "run.json")
+    check_place(directory)
 
 
 def load_result(directory: str | os.PathLike[str]) -> Result:
@@ -298,16 +300,22 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
     while True:
         if not is_result(place):
             raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")
-        before = os.stat(place)
+        before = _version(place)
         try:
             found = _read_result(place)
         except InputError:
-            if os.path.samestat(before, os.stat(place)):
+            if _version(place) == before:
                 raise
         else:
-            if os.path.samestat(before, os.stat(place)):
+            if _version(place) == before:
                 return found
         # The directory was replaced meanwhile.
+
+
+def _version(place: Path) -> tuple[int, int]:
+    """A new value for each folder that takes the place: numbers of deleted folders come again."""
+    stat = place.stat()
+    return stat.st_ino, stat.st_mtime_ns
 
 
 def _read_result(place: Path) -> Result:

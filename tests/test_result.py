@@ -311,6 +311,7 @@ def rewrite_beliefs(folder: Path) -> None:
         (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: cannot be read"),
         (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
         (lambda d: (d / "scores.json").write_text("[]"), "scores.json need keys and values"),
+        (rewrite("run.json", frames=7), "beliefs.parquet has 150 of 7 frames"),
         (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
         (rewrite("run.json", n_lanes="x"), "is damaged (TypeError: "),
         (rewrite("run.json", warnings=5), "its files differ from the checksum in run.json"),
@@ -339,6 +340,11 @@ def test_new_empty_and_earlier_directories_are_written_only(saved: Path, tmp_pat
         check_writable(tmp_path)
     with pytest.raises(InputError, match=r"run\.json: is a file, not a directory"):
         check_writable(copy / "run.json")
+    (tmp_path / "link").symlink_to(tmp_path)
+    check_writable(tmp_path / "link" / "result")
+    for place, message in (("link", "is a link; name"), ("/", "cannot be replaced; name a folder")):
+        with pytest.raises(InputError, match=message):
+            check_writable(tmp_path / place)
 
 
 def test_a_result_that_cannot_be_written_leaves_the_older_one(

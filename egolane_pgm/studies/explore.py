@@ -55,7 +55,7 @@ from egolane_pgm.studies.structures import (
     with_structure,
 )
 from egolane_pgm.studies.study import Fold, check_trained, everything, training_of_fold
-from egolane_pgm.tools.files import write_text, write_yaml
+from egolane_pgm.tools.files import make_directory, write_text, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
@@ -291,6 +291,8 @@ class Tried:
         self.found = dict[tuple[Structure, int], pd.DataFrame]()
         self.folds = range(len(problem.folds))
         self.shared = shared
+        if directory is not None:
+            make_directory(directory)
         self.folder = None if directory is None else directory / "tried"
         whole = [np.arange(len(drive)) for drive in problem.drives]
         data = drives_digest(problem.drives, whole), problem.tables, problem.folds

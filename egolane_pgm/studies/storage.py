@@ -16,7 +16,7 @@ from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
-from egolane_pgm.tools.files import make_directory
+from egolane_pgm.tools.files import check_no_link, make_directory
 from egolane_pgm.types import InputError
 
 #: How often a new database is opened, and the time between, seconds.
@@ -35,6 +35,7 @@ def open_storage(storage: str) -> BaseStorage:
     is_file = "://" not in storage
     if is_file:
         make_directory(Path(storage).parent)
+        check_no_link(Path(storage))
     try:
         return JournalStorage(_Journal(Path(storage))) if is_file else _open_database(storage)
     # Drivers of databases have different errors; a damaged journal raises others in Optuna.

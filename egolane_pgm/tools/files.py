@@ -137,11 +137,18 @@ def _of_numpy(value: Any) -> Any:
 
 
 def make_directory(directory: Path) -> None:
-    """Create a directory and its parents. Raises InputError if that fails."""
+    """Create a directory and its parents. Raises InputError if that fails, and for a link."""
+    check_no_link(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
+
+
+def check_no_link(path: Path) -> None:
+    """Raise InputError for an output path that is a link; its parents may be links."""
+    if path.is_symlink():
+        raise InputError(f"{path}: is a link; name another path")
 
 
 @contextlib.contextmanager

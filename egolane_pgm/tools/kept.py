@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from egolane_pgm.tools.files import read_parquet, write_parquet
+from egolane_pgm.tools.files import make_directory, read_parquet, write_parquet
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ def kept_tables(
     - keys: checksums, the names of the files.
     - make: yields the tables of some keys, given as positions, in order.
     """
+    if folder is not None:
+        make_directory(folder)
     there = {k: _read(folder / f"{key}.parquet") for k, key in enumerate(keys) if folder}
     made = make([k for k in range(len(keys)) if there.get(k) is None])
     for k, key in enumerate(keys):

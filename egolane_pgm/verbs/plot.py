@@ -82,8 +82,6 @@ def plot(
 
     def target(place: Path) -> Path:
         if out is None:
-            if (place / "figures").is_symlink():
-                raise InputError(f"{place}/figures: is a link; name a folder (--out)")
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 
@@ -110,12 +108,8 @@ def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
     """Print the checks of a result; return their figures. Raises InputError if they would execute
     a program of the result."""
     e = result.experiment
-    for plugin in (e.evidence, e.graph_name):
-        if plugin.endswith(".py"):
-            raise InputError(
-                f"check: {plugin} is a program, which plot does not execute; if you trust it, in"
-                f" Python: ego.check(ego.load_result('{result.directory}'))"
-            )
+    cure = f"ego.check(ego.load_result('{result.directory}'))"
+    _check_no_program("check", (e.evidence, e.graph_name), cure)
     found = (check_model(result), prediction_calibration(result))
     title = title_of(result)
     print(printable(check_text(result, *found)), end="\n\n")
@@ -124,6 +118,16 @@ def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
     if len(numbers):
         makes["sensitivity"] = partial(sensitivity_figure, numbers, title)
     return makes
+
+
+def _check_no_program(option: str, plugins: Sequence[str | None], cure: str) -> None:
+    """Raise InputError for a plugin that is a program. cure: the same in Python."""
+    for plugin in plugins:
+        if plugin is not None and plugin.endswith(".py"):
+            raise InputError(
+                f"{option}: {plugin} is a program, which plot does not execute; if you trust it,"
+                f" in Python: {cure}"
+            )
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:
@@ -143,7 +147,11 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
         from egolane_pgm.export.mcap_file import write_mcap as write
     else:
         from egolane_pgm.export.video_file import write_video as write
-    write(file, load_result(places[0]), frames)
+    result = load_result(places[0])
+    if file.suffix.lower() == ".mp4":
+        cure = f"export.video_file.write_video('{file}', ego.load_result('{places[0]}'))"
+        _check_no_program("out", [result.experiment.recording.detector], cure)
+    write(file, result, frames)
     return file
 
 

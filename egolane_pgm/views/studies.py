@@ -178,9 +178,7 @@ def draw_study(
     document, trials = read_trials(place)
     name = f"{document['name']}: {len(trials)} trials"
     file = place / "profile.parquet"
-    profile = (
-        pd.read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
-    )
+    profile = read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
     figures: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials, document, name),
         "profile": lambda: profile_figure(trials, document, name, profile),

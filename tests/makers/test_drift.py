@@ -23,7 +23,7 @@ def test_a_camera_turned_by_a_degree_corrects_itself_on_real_stills(name: str, a
     recall, precision = tusimple.recall_precision(turned.stills, 0.0)
     assert recall > 0.80
     assert precision > 0.80
-    (line,) = turned.said
+    (line,) = turned.warned
     assert "corrected from here on" in line
     # The road itself rises and falls by half a degree for dozens of these stills.
     assert (abs(turned.pitch_deg[5:]) < 0.6).all()

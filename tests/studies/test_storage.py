@@ -48,6 +48,17 @@ def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) ->
     assert tried(copy.trials) == tried(study.trials)
 
 
+def test_a_journal_that_lost_the_end_of_its_last_line_goes_on(tmp_path: Path) -> None:
+    journal = tmp_path / JOURNAL_NAME
+    search(study_in(str(journal)), SPACE, bowl, settings(2))
+    *_, last = (whole := journal.read_bytes()).splitlines(keepends=True)
+    for lost in range(1, len(last) + 1):
+        journal.write_bytes(whole[:-lost])
+        study_in(str(journal)).ask()
+        assert len(study_in(str(journal)).trials) == 3
+        assert journal.read_bytes().startswith(whole[: -len(last)])
+
+
 @pytest.mark.parametrize(
     ("storage", "said"),
     [
@@ -55,6 +66,7 @@ def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) ->
         ("sqlite:///{folder}/damaged", "damaged: cannot be used: file is not a database"),
         ("nosuch://h/d", "storage: nosuch://h/d: "),
         ("sqlite:////no/such/place/x.db", "storage: sqlite:////no/such/place/x.db: "),
+        ("{folder}/link", "{folder}/link: is a link; name another path"),
         ("{folder}/damaged/x", "damaged: cannot be created: File exists"),
         ("oracle+oracledb://h/d", "cannot be used: No module named 'oracledb'"),
     ],
@@ -62,8 +74,9 @@ def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) ->
 def test_a_storage_that_cannot_be_opened_is_one_line(
     storage: str, said: str, tmp_path: Path
 ) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "outside")
     (tmp_path / "damaged").write_text("this is no database\n" * 100)
     with pytest.raises(InputError) as caught:
         open_storage(storage.format(folder=tmp_path))
-    assert said in str(caught.value)
+    assert said.format(folder=tmp_path) in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -70,7 +70,7 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
         ("{0} --check --frames 0 9", "--check: goes with figures of results, without frames"),
         ("{1}/study --check", "--check: goes with figures of results"),
         ("{0} --check --out {1}/page.html", "--check: goes with figures of results"),
-        ("{1}/linked", "{1}/linked/figures: is a link; name a folder"),
+        ("{1}/linked", "{1}/linked/figures: is a link; name another path"),
         ("{1}/study --out {1}/page.html", "{1}/study: is not a result directory"),
     ],
 )
