@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.studies.study import STUDY_TABLES
-from egolane_pgm.tools.files import checksum, reading
+from egolane_pgm.tools.files import checksum, read_parquet, reading
 from egolane_pgm.types import InputError
 from egolane_pgm.views.result_text import drive_parts
 from egolane_pgm.views.style import (
