@@ -20,7 +20,7 @@ from egolane_pgm.graphs.cpds import Table, flat_network, quiet
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import FloatArray, IntArray
-from tests.benchmarks import bench_camera, bench_cold, bench_memory, bench_table, peers
+from tests.benchmarks import bench_camera, bench_cold, bench_memory, peers
 from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.data import N_LANES, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
@@ -58,7 +58,6 @@ def _all_lines(rounds: int) -> Iterator[str]:
     yield from markdown(tune_lines())
     yield f"\n{bench_camera.markdown(bench_camera.camera_lines())}"
     yield bench_cold.markdown(bench_cold.cold_lines())
-    yield bench_table.markdown(bench_table.table_lines())
     yield from bench_memory.memory_lines()
 
 
