@@ -149,7 +149,7 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
         from egolane_pgm.export.video_file import write_video as write
     result = load_result(places[0])
     if file.suffix.lower() == ".mp4":
-        cure = f"export.video_file.write_video('{file}', ego.load_result('{places[0]}'))"
+        cure = "egolane_pgm.export.video_file.write_video, see docs/howto/detector.md"
         _check_no_program("out", [result.experiment.recording.detector], cure)
     write(file, result, frames)
     return file
