@@ -92,7 +92,7 @@ def load_graph_file(path: Path, name: str, where: str) -> Graph:
         if not {"nodes", "tables"} & keys.keys():
             raise InputError(
                 f"{path.name}: has no nodes and no tables, so it is not a graph; an experiment is"
-                f" checked by `egolane run {path.name} --dry-run`"
+                f" run by `egolane run {path.name}`"
             )
         return graph_of(keys, name, path.name, file=str(path))
 

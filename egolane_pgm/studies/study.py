@@ -41,7 +41,6 @@ from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import (
     check_place,
-    checksum,
     make_directory,
     to_jsonable,
     write_json,
@@ -57,9 +56,6 @@ N_BLOCKS = 5
 
 #: The file that makes the directory of a study complete.
 STUDY_FILE = "study.json"
-
-#: The files that the checksum in study.json covers, as it covers study.json itself.
-STUDY_TABLES = ("trials.parquet", "profile.parquet")
 
 
 class Fold(NamedTuple):
@@ -330,9 +326,7 @@ class Study:
                 write_parquet(place / f"{name}.parquet", rows)
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
-        content = self.document
-        kept = {**content, "checksum": checksum(content, place, STUDY_TABLES)}
-        write_json(place / STUDY_FILE, kept)
+        write_json(place / STUDY_FILE, self.document)
         return place
 
     @property

@@ -63,7 +63,7 @@ def test_evidence_of_any_scale_in_three_groups_equals_a_computation_in_logarithm
     assert_same_beliefs(exact, right, 1e-12 * np.abs(right.log_evidence).max())
     path = viterbi(compiled, scaled)
     assert path.log_probability == pytest.approx(
-        reference.path_probability(compiled, scaled, path.values["Lane"]), rel=1e-13
+        reference.path_probability(compiled, scaled, path.lane - 1), rel=1e-13
     )
     counts = expected_counts(compiled, scaled)
     assert counts.log_evidence == pytest.approx(right.log_evidence.sum(), rel=1e-13)
@@ -186,7 +186,7 @@ def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(me
 def test_the_paper_s_update_worked_by_hand() -> None:
     """Assumed density as in section "Inference": each marginal through its own table."""
     module = graph("sensor_failure")
-    parameters = resolve_parameters(module.PARAMETERS, {"p1": 0.8, "p2": 0.7}, 3)
+    parameters = resolve_parameters(module.parameters, {"p1": 0.8, "p2": 0.7}, 3)
     compiled = with_tables(template("sensor_failure", 3), module.tables(3, parameters))
     tables = {t.node: t.values for t in module.tables(3, parameters)}
     rng = np.random.default_rng(4)

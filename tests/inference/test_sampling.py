@@ -127,6 +127,8 @@ def test_wrong_numbers_are_refused() -> None:
         sampled_states(compiled, 3, 0, np.random.default_rng(0))
     with pytest.raises(InputError, match="posterior_paths: n: 0 is not a positive number"):
         posterior_paths(compiled, evidence, 0, 0)
+    with pytest.raises(InputError, match=r"is_first: shape \(3,\), the evidence has 2 frames"):
+        predicted(compiled, evidence, is_first=np.zeros(3, dtype=bool))
 
 
 def test_paths_have_a_row_per_frame_and_the_names_of_the_values() -> None:
@@ -139,5 +141,3 @@ def test_paths_have_a_row_per_frame_and_the_names_of_the_values() -> None:
     for name, values in {"Lane": ["1", "2"], "SensorState": ["0", "1"]}.items():
         assert list(paths[name].cat.categories) == list(best[name].cat.categories) == values
         np.testing.assert_array_equal(paths.loc[1, name].cat.codes, codes[name][1])
-    with pytest.raises(InputError, match=r"is_first: shape \(3,\), the evidence has 2 frames"):
-        predicted(compiled, evidence, is_first=np.zeros(3, dtype=bool))

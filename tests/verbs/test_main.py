@@ -75,7 +75,7 @@ def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> Non
     # The texts that commands print: the description of a recording ends with a command.
     others = {package / "command.py", package / "tools" / "options.py"}
     others |= {package / "recordings" / "showing.py"}
-    others |= {package / "views" / f"{name}.py" for name in ("description", "display")}
+    others |= {package / "views" / f"{name}.py" for name in ("description", "result_text")}
     found = []
     for path in {*package.rglob("*.py")} - {*others, *(package / "verbs").iterdir()}:
         nodes = [*ast.walk(ast.parse(path.read_text()))]
