@@ -52,9 +52,11 @@ def plain(value: Any) -> Any:
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def _graph_keys(graph: str | Graph) -> Any:
-    """The name of a graph, or the content of one in memory."""
-    return graph.keys if isinstance(graph, Graph) else graph
+def _named(value: Any) -> Any:
+    """A name, the content of a graph in memory, or the name of the class of another object."""
+    if value is None or isinstance(value, str):
+        return value
+    return value.keys if isinstance(value, Graph) else type(value).__name__
 
 
 def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
@@ -68,11 +70,6 @@ def _check_sampler(value: Any) -> Any:
     if not (value is None or isinstance(value, str) or hasattr(value, "sample_relative")):
         raise ValueError("needs the name of a sampler, or in Python a sampler of Optuna")
     return value
-
-
-def _sampler_name(value: Any) -> Any:
-    """The name of a sampler, or of the class of an object."""
-    return value if value is None or isinstance(value, str) else type(value).__name__
 
 
 def _check_strength(value: Any) -> Any:
@@ -320,7 +317,7 @@ class FitSettings(Section):
     sampler: Annotated[
         Any,
         AfterValidator(_check_sampler),
-        PlainSerializer(_sampler_name, when_used="json"),
+        PlainSerializer(_named, when_used="json"),
         WithJsonSchema({"type": ["string", "null"]}),
     ] = Field(
         default=None,
@@ -405,7 +402,7 @@ class Experiment(Section):
     )
     graph: Annotated[
         str | InstanceOf[Graph],
-        PlainSerializer(_graph_keys),
+        PlainSerializer(_named),
         WithJsonSchema({"type": "string"}),
     ] = Field(
         default="sensor_failure",
