@@ -21,7 +21,7 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Experiment, FitSettings, TunedOn
+from egolane_pgm.experiment import FitSettings, Origin, TunedOn
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.identity import content_of, digest_of, most_in_sample
 from egolane_pgm.inference.compile import Compiled, counted_tables
@@ -321,21 +321,21 @@ def start_of_learning(model: Model) -> Model:
     Parameters of the graph that may have been tuned on these frames start from their defaults.
     """
     values = dict(model.parameters)
-    if may_be_tuned(model.experiment):
+    if may_be_tuned(model.experiment.tuned_on):
         own = model.graph.parameters
         values |= {spec.name: spec.default for spec in own if spec.is_searched}
     return with_parameters(model, _resolve(model, values))
 
 
-def may_be_tuned(experiment: Experiment) -> bool:
-    """Whether the parameters of an experiment may have been tuned on the frames to learn from."""
-    return experiment.tuned_on not in ("not_tuned", "other_drive", "other_frames")
+def may_be_tuned(tuned_on: Origin) -> bool:
+    """Whether parameters may have been tuned on the frames to learn from."""
+    return tuned_on not in ("not_tuned", "other_drive", "other_frames")
 
 
 def kept_though_tuned(model: Model, tuned_on: TunedOn) -> list[str]:
     """Parameters that learning keeps though they may have been tuned on the training frames."""
     e = model.experiment
-    if tuned_on not in ("same_frames", "same_drive", "unknown"):
+    if not may_be_tuned(tuned_on):
         return []
     kept = [
         s.name
