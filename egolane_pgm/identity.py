@@ -52,14 +52,19 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no checksum")
 
 
-def content_of(experiment: Experiment, harmless: Collection[str] = ()) -> dict[str, Any]:
+def content_of(
+    experiment: Experiment,
+    harmless: Collection[str] = (),
+    data: Iterable[dict[str, Any]] = (),
+) -> dict[str, Any]:
     """The keys on which a number depends, with checksums of files in place of their paths.
 
     - harmless: further keys that are left out.
+    - data: the `digest` of each of `data_files`, if known.
     """
     text = experiment.model_dump_json(exclude={*HARMLESS, *harmless})
-    for path in data_files(experiment):
-        text = text.replace(json.dumps(str(path)), json.dumps(digest(path)["sha256"]))
+    for each in data or map(digest, data_files(experiment)):
+        text = text.replace(json.dumps(each["path"]), json.dumps(each["sha256"]))
     content: dict[str, Any] = json.loads(text)
     return content
 

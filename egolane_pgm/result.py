@@ -502,7 +502,7 @@ def make_result(
     run = {
         "name": e.name,
         "config": resolved(e, model.parameters),
-        "identity": digest_of(content_of(experiment)),
+        "identity": digest_of(content_of(experiment, data=data)),
         "data": data,
         "versions": versions(),
         "git": git_state(),
