@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from egolane_pgm.inference.events import lane_events as lane_events
     from egolane_pgm.inference.expected_counts import expected_counts as expected_counts
     from egolane_pgm.inference.filtering import filter_beliefs as filter_beliefs
+    from egolane_pgm.inference.gradient import log_loss_gradient as log_loss_gradient
     from egolane_pgm.inference.sampling import posterior_paths as posterior_paths
     from egolane_pgm.inference.sampling import predicted as predicted
     from egolane_pgm.inference.sampling import sample as sample
@@ -92,6 +93,7 @@ _PUBLIC = {
     "prediction_calibration": "checking",
     "sensitivity": "checking",
     "expected_counts": "inference.expected_counts",
+    "log_loss_gradient": "inference.gradient",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
     "fit_tables": "studies.em",

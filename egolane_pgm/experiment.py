@@ -73,6 +73,8 @@ def _check_sampler(value: Any) -> Any:
 
 
 def _check_strength(value: Any) -> Any:
+    if value is None:
+        return value
     weights = value.values() if isinstance(value, Mapping) else (value,)
     are_numbers = all(isinstance(each, (int, float)) for each in weights)
     if not are_numbers or not all(0 < weight <= 1e9 for weight in weights):
@@ -308,10 +310,11 @@ class FitSettings(Section):
         " not fitted to",
         examples=[[[0, 100], [9577, None]]],
     )
-    objective: _OneOrSeveral = Field(
-        default=("accuracy",),
-        min_length=1,
-        description="tune: the score to optimise, or several",
+    objective: Annotated[_OneOrSeveral, Field(min_length=1)] | None = Field(
+        default=None,
+        description="tune: the score to optimise, by default accuracy, or several; learn:"
+        " `log_loss`, the filter's of the labels, the default with labels, or `log_evidence` of"
+        " lines and labels, by EM",
         examples=["accuracy", ["accuracy", "log_loss"], "log_evidence"],
     )
     sampler: Annotated[
@@ -329,13 +332,11 @@ class FitSettings(Section):
         default=None,
         ge=1,
         le=10**7,
-        description="tune: total number of trials; learn: number of starts of EM, of which the best"
-        " is kept: the declared values, then random ones",
+        description="tune: total number of trials; learn: number of starts, of which the best is"
+        " kept: the declared values, then random ones",
         examples=[3000],
     )
-    seed: int = Field(
-        default=0, ge=0, description="random seed of the sampler, and of the starts of EM"
-    )
+    seed: int = Field(default=0, ge=0, description="random seed of the sampler, and of the starts")
     parameters: _Keys = Field(
         default_factory=dict,
         description="by name [low, high], the names of a choice, or one value to keep; if"
@@ -346,17 +347,28 @@ class FitSettings(Section):
     learns: Literal["rule", "tables", "parameters"] | None = Field(
         default=None,
         description="learn: parameters of the evidence rule, from labels (`rule`), or tables or"
-        " parameters of the graph, by EM; by default the rule if it can learn, otherwise tables",
+        " parameters of the graph; by default the rule if it can learn, otherwise tables",
     )
-    labels: bool = Field(default=True, description="learn: whether EM uses annotated lanes, too")
+    labels: bool = Field(default=True, description="learn: whether annotated lanes are used")
+    block: int = Field(
+        default=300,
+        ge=1,
+        description="learn, log_loss: number of frames that weigh as much as one against the prior,"
+        " since neighbouring frames are nearly the same",
+    )
     strength: Annotated[
-        Any, AfterValidator(_check_strength), WithJsonSchema({"type": ["number", "object"]})
+        Any, AfterValidator(_check_strength), WithJsonSchema({"type": ["number", "object", "null"]})
     ] = Field(
-        default=100.0,
-        description="learn: weight of the declared tables, in frames per row; or by name of the"
-        " node, 100 for others",
+        default=None,
+        description="learn: weight of the declared tables, in frames per row (log_loss: blocks), by"
+        " default 10 for log_loss and 100 for log_evidence; or by name of the node",
         examples=[100, {"Lane": 1000, "WOR": 10}],
     )
+
+    @property
+    def scores(self) -> tuple[str, ...]:
+        """The scores that a search optimises."""
+        return self.objective or ("accuracy",)
 
     @field_validator("parameters", mode="before")
     @classmethod

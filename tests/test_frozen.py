@@ -154,6 +154,7 @@ def test_a_study_on_run_5(recordings: Path, sampler: str) -> None:
 def test_held_out_accuracy_of_quickstart(fit: str) -> None:
     """Five blocks, each with what was fitted on the others (tune: 30 trials each)."""
     overrides = {"fit.method": fit, "fit.trials": 30, "fit.folds": 5}
+    overrides |= {"fit.objective": "log_evidence"} if fit == "learn" else {}
     result = ego.run("quickstart", overrides=overrides, held_out=True)
     assert_frozen(result.scores["model"]["accuracy"], FROZEN["held_out_quickstart"][fit])
 

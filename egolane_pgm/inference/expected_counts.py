@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode
-from egolane_pgm.inference.compile import Compiled, Group, counted_tables, takes_any_model
+from egolane_pgm.inference.compile import Compiled, counted_tables, takes_any_model
 from egolane_pgm.inference.filtering import (
     evidence_blocks,
     first_frames,
@@ -22,8 +21,7 @@ from egolane_pgm.inference.filtering import (
     joint_input,
     state_likelihood,
 )
-from egolane_pgm.inference.kernels.filter import LEAST
-from egolane_pgm.inference.kernels.sweeps import smooth_frames
+from egolane_pgm.inference.kernels.sweeps import count_values, smooth_frames
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.
@@ -69,45 +67,68 @@ def expected_counts(
     n_frames = len(evidence)
     n_states = compiled.n_states
     likelihood, log_scale = state_likelihood(compiled, evidence)
-    for node, value in (known or {}).items():
-        if node not in compiled.hidden:
-            meant = suggestion(node, compiled.hidden)
-            raise InputError(f"known values of {node}, which is no hidden node{meant}")
-        likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
+    likelihood *= known_states(compiled, known or {}, n_frames)
     begins = first_frames(n_frames, is_first)
     filtered, log_evidence, is_impossible = forward(compiled, likelihood, log_scale, index, begins)
     likelihood[is_impossible] = 1.0
     smoothed = np.empty((n_frames, n_states))
-    moves = np.zeros((n_states, n_states))
+    moves = np.zeros_like(compiled.transition)
     smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)
-    array_of: dict[str | int, FloatArray] = {
-        "prior": smoothed[begins].sum(axis=0)[None],
-        "transition": moves[None],
-    }
-    smoothed[is_impossible] = 0.0
-    blocks = zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True)
-    # Evidence of a node in the joint state has no table.
-    targets = {place.target for place in compiled.places.values()}
-    array_of |= {g: _seen(*each, smoothed) for g, each in enumerate(blocks) if g in targets}
-    tables = counted_tables(compiled)
-    counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
-    for (name, s), place in compiled.places.items():
-        counted = (name, 1) if name in compiled.one_table else (name, s)
-        if counted in counts:
-            array = array_of[place.target]
-            indices = tuple(np.broadcast_to(index, array.shape) for index in place.indices)
-            np.add.at(counts[counted], indices, array)
+    counts = counts_of_tables(compiled, evidence, smoothed, moves, begins, is_impossible)
+    counts = {node: counts[node] for node in counted_tables(compiled)}
     return Expected(counts, float(log_evidence.sum()), is_impossible)
 
 
-def _seen(group: Group, block: FloatArray, smoothed: FloatArray) -> FloatArray:
-    """How often each joint state is expected to show each value of a group, (S, K).
+def known_states(compiled: Compiled, known: Mapping[str, IntArray], n_frames: int) -> BoolArray:
+    """Mark the joint states that agree with the known values in each frame, (T, S).
 
-    P(state, value | all) = P(state | all) P(value | state) e(value) / P(evidence | state).
+    Raises InputError for known values of a node that is not hidden.
     """
-    # Faster than `max` over a short axis.
-    largest = reduce(np.maximum, block.T)[:, None]
-    shares = block / np.where(largest > 0, largest, 1.0)
-    of_state = shares @ group.emission.T
-    weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=of_state >= LEAST)
-    return np.asarray(group.emission * (weight.T @ shares))
+    agrees = np.ones((n_frames, compiled.n_states), dtype=bool)
+    for node, value in known.items():
+        if node not in compiled.hidden:
+            meant = suggestion(node, compiled.hidden)
+            raise InputError(f"known values of {node}, which is no hidden node{meant}")
+        states = compiled.node_value[node] == np.arange(compiled.cardinality[node] + 1)[:, None]
+        # The last row is that of FREE.
+        states[FREE] = True
+        agrees &= states[value]
+    return agrees
+
+
+def counts_of_tables(
+    compiled: Compiled,
+    evidence: Evidence,
+    states: FloatArray,
+    moves: FloatArray,
+    begins: BoolArray,
+    is_impossible: BoolArray,
+) -> dict[SliceNode, FloatArray]:
+    """Count how often each entry of each table is used, from the counts of joint states.
+
+    - states (T, S): how often each frame has each joint state. moves (U, S, S): how often each
+      joint value of the inputs leads from one to another.
+    - begins, is_impossible (T,): the first frames of sequences, and the frames without evidence.
+
+    Returns an array per table, of its shape: of both slices of a node with two tables, else of
+    slice 1. Functions have none.
+    """
+    prior = np.zeros_like(compiled.prior)
+    np.add.at(prior, joint_input(compiled, evidence)[begins], states[begins])
+    array_of: dict[str | int, FloatArray] = {"prior": prior, "transition": moves}
+    shown = np.where(is_impossible[:, None], 0.0, states)
+    # Evidence of a node in the joint state has no table.
+    targets = {place.target for place in compiled.places.values()}
+    for g, block in enumerate(evidence_blocks(compiled, evidence)):
+        if g in targets:
+            emission = np.ascontiguousarray(compiled.groups[g].emission.T)
+            count = np.zeros_like(emission)
+            count_values(block, emission, shown, count)
+            array_of[g] = count.T
+    counts: dict[SliceNode, FloatArray] = {}
+    for (name, s), place in compiled.places.items():
+        node = (name, 1) if name in compiled.one_table else (name, s)
+        count = counts.setdefault(node, np.zeros(compiled.tables[node].values.shape))
+        array = array_of[place.target]
+        np.add.at(count, tuple(np.broadcast_to(i, array.shape) for i in place.indices), array)
+    return counts

@@ -175,7 +175,7 @@ def _smoothed(compiled: Compiled, passed: Passed) -> FloatArray:
     smoothed = np.empty_like(passed.filtered)
     smooth_frames(
         passed.filtered, passed.likelihood, compiled.transition, passed.input_index, passed.begins,
-        smoothed, np.zeros((0, 0)),
+        smoothed, np.zeros((0, 0, 0)),
     )  # fmt: skip
     return smoothed
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from egolane_pgm.scoring.scores import SCORES, Statistic
-from egolane_pgm.types import InputError, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: Frames of a block: half a minute at 10 Hz, much longer than most errors last.
 BLOCK_FRAMES = 300
@@ -150,3 +152,61 @@ def score_intervals(
         theirs = None if minus is None else [each[name] for each in minus]
         found[name] = bootstrap_interval(mine, statistic, minus=theirs, seeds=seeds)
     return found
+
+
+def block_gains(
+    better: Sequence[NDArray[Any]],
+    worse: Sequence[NDArray[Any]],
+    statistic: Statistic,
+    drives: Sequence[int],
+    block: int = BLOCK_FRAMES,
+) -> FloatArray:
+    """Return what each block of frames contributes to a gain; the mean is the gain, (B,).
+
+    The contribution is the jackknife's pseudo-value: of a mean its difference within the block.
+
+    - better, worse: summands of a score as for `bootstrap_interval`; larger is better.
+    - drives: the number of each recording's drive. Recordings of a drive share blocks.
+    """
+    found: dict[int, FloatArray] = {}
+    lengths = pd.Series(list(map(len, better))).groupby(list(drives)).min()
+    for mine, other, drive in zip(better, worse, drives, strict=True):
+        n_blocks = max(1, lengths[drive] // block)
+        edges = np.linspace(0, len(mine), n_blocks + 1).astype(int)[:-1]
+        whole, left_out = [], []
+        for side in (mine, other):
+            sums = np.add.reduceat(side, edges, axis=0, dtype=np.float64)
+            whole.append(statistic(sums.sum(axis=0)))
+            left_out.append(statistic(sums.sum(axis=0) - sums))
+        gain = whole[0] - whole[1]
+        values = n_blocks * gain - (n_blocks - 1) * (left_out[0] - left_out[1])
+        # A score that is undefined without the block: the block is as the others.
+        values = np.nan_to_num(np.where(np.isnan(values), gain, values))
+        found[drive] = found.get(drive, 0.0) + values / len(better)
+    n_blocks = sum(map(len, found.values()))
+    return np.concatenate([each * n_blocks / len(each) for each in found.values()])
+
+
+def beyond_chance(gains: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Return which gains are larger than what chance gives the best of all candidates, (K,).
+
+    Chance turns the sign of the contribution of each block. A gain passes if it is above the 95 %
+    quantile of the largest gain of all candidates. As of Hansen (2005), clear losses do not count
+    as candidates, and other losses have mean zero. Fewer than 5 blocks let nothing pass.
+
+    - gains: of K candidates, from `block_gains`, (K, B).
+
+    Returns also in which share of bootstrap resamples of the blocks each gain passes, (K,).
+    """
+    mean = gains.mean(axis=1)
+    n_blocks = gains.shape[1]
+    error = gains.std(axis=1) / math.sqrt(n_blocks)
+    is_clear_loss = mean < -error * math.sqrt(2 * math.log(math.log(max(n_blocks, 3))))
+    centred = (gains - np.minimum(mean, 0.0)[:, None])[~is_clear_loss]
+    rng = np.random.default_rng(0)
+    signs = rng.choice([-1.0, 1.0], (RESAMPLES, n_blocks))
+    signs[0] = 1.0
+    by_chance = signs @ centred.T / n_blocks
+    least = np.quantile(by_chance.max(axis=1, initial=0.0), LEVEL, method="higher")
+    weight = rng.multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), RESAMPLES) / n_blocks
+    return mean > least, (gains @ weight.T > least).mean(axis=1)

@@ -47,26 +47,31 @@ Step = Callable[[FloatArray], tuple[FloatArray, float]]
 #: From numbers (D,) to the tables of the network, of both slices.
 TablesOf = Callable[[FloatArray], Sequence[Table]]
 
+#: Evidence, known values and the beginnings of sequences, as `expected_counts` takes them.
+Data = tuple[Evidence, Mapping[str, IntArray], BoolArray | None]
+
 #: The M step of a network: from the expected counts of its tables to the network and its log prior.
 Maximise = Callable[[Mapping[SliceNode, FloatArray]], tuple[Compiled, float]]
 
 
 @dataclass(frozen=True)
 class Learned:
-    """The result of EM.
+    """The result of EM or of `gradient_fit`.
 
     - compiled: the network with its learned tables; `compiled.network` is the one of pgmpy.
     - log_posterior (I,): log evidence plus log prior (0 for the declared tables), before each
-      iteration and after the last.
+      iteration and after the last; of `gradient_fit` the log-loss per block in place of the log
+      evidence, with the other sign, at the start and at the end.
     - is_impossible (T,): marks frames whose evidence, together with the known values, has
       probability zero.
-    - numbers (D,): of tied parameters (`fit_tied`).
+    - numbers (D,): of tied parameters. draws (K, D): of their posterior, by `gradient_fit` only.
     """
 
     compiled: Compiled
     log_posterior: FloatArray
     is_impossible: BoolArray
     numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
+    draws: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def tables(self) -> dict[SliceNode, Table]:
@@ -77,14 +82,11 @@ class Learned:
 def iterate(
     compiled: Compiled,
     log_prior: float,
-    data: tuple[Evidence, Mapping[str, IntArray] | None, BoolArray | None],
+    data: Data,
     maximise: Maximise,
     iterations: int,
 ) -> Learned:
-    """Run EM from a network and its log prior until the log posterior hardly grows.
-
-    - data: the arguments of `expected_counts`.
-    """
+    """Run EM from a network and its log prior until the log posterior hardly grows."""
     history: list[float] = []
     while True:
         expected = expected_counts(compiled, *data)
@@ -160,7 +162,7 @@ def fit_tables(
                 now[node] = Table(node, table.parents, rows)
         return current()
 
-    return iterate(*current(), (evidence, known, is_first), maximise, iterations)
+    return iterate(*current(), (evidence, known or {}, is_first), maximise, iterations)
 
 
 def _same_values(tables: Mapping[SliceNode, Table], name: str) -> tuple[int, int] | None:
@@ -255,7 +257,7 @@ def fit_tied(
         return with_tables(compiled, tables_of(numbers)), 0.0
 
     first = with_tables(compiled, tables_of(numbers))
-    found = iterate(first, 0.0, (evidence, known, is_first), maximise, iterations)
+    found = iterate(first, 0.0, (evidence, known or {}, is_first), maximise, iterations)
     return replace(found, numbers=numbers)
 
 

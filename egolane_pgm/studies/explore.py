@@ -1,7 +1,11 @@
-"""Which edge helps? Search the edges of a graph, each structure fitted by EM and judged.
+"""Search the edges of a graph: each structure is fitted and judged.
 
-Log evidence and BIC judge how well a graph describes the lines; on the recordings of the paper they
-ranked graphs nearly opposite to the held-out lanes.
+Two questions have two judges. Which edge helps the answer? A held-out score of the lane, after a
+fit to the labels (`gradient_fit`). Which edge is in the data? BIC or held-out log evidence, after
+EM. A graph fitted to the labels makes up for much of an edge that it lacks, so the answers differ.
+
+The best of many candidates gains by chance, so a gain has to be larger than what chance gives the
+best of them (`bootstrap.beyond_chance`).
 """
 
 from __future__ import annotations
@@ -32,15 +36,24 @@ from egolane_pgm.inference.compile import (
 )
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, graph_in_memory, make_evidence, with_own_values
-from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
+from egolane_pgm.scoring.bootstrap import (
+    LEVEL,
+    beyond_chance,
+    block_gains,
+    bootstrap_interval,
+)
 from egolane_pgm.scoring.scores import SCORES, Score
 from egolane_pgm.studies.em import fit_tables, strength_of
 from egolane_pgm.studies.fits import (
     drives_digest,
+    joined,
     learnable_nodes,
+    objective_of_learning,
     start_of_learning,
+    strength_of_learning,
     training_of,
 )
+from egolane_pgm.studies.gradient_fit import fit_tables_to_known
 from egolane_pgm.studies.objective import check_objective, drive_summands
 from egolane_pgm.studies.search import make_sampler, quiet, settings_of
 from egolane_pgm.studies.space import SearchSpace
@@ -59,16 +72,22 @@ from egolane_pgm.tools.files import make_directory, write_text, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, IntArray, problems_in
+from egolane_pgm.types import (
+    Beliefs,
+    BoolArray,
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    problems_in,
+)
 
 #: The judges: any score of held-out frames, or BIC. The description of the gain by the name.
 JUDGES = {
     **{name: f"gain in held-out {score.short_label} of Lane" for name, score in SCORES.items()},
     "log_loss": "gain in held-out log-loss of Lane, nats per frame",
-    "log_evidence": "gain in held-out log evidence of the lines, nats per frame; it ranked graphs"
-    " nearly opposite to held-out lanes",
-    "bic": "gain in BIC over all frames, nats per frame; it judges the lines, and ranked graphs"
-    " nearly opposite to held-out lanes",
+    "log_evidence": "gain in held-out log evidence of the lines, nats per frame",
+    "bic": "gain in BIC over all frames, nats per frame; it judges the lines",
 }
 
 #: The judges that need no ground truth.
@@ -80,7 +99,7 @@ MOST_NUMBERS = 2000
 #: The largest number of parents of a node that an edge is added to.
 MOST_PARENTS = 3
 
-#: The largest number of EM steps for each structure.
+#: The largest number of steps of the fit of each structure.
 ITERATIONS = 50
 
 
@@ -94,6 +113,7 @@ class Problem:
     - drive_ids: the number of each recording's drive; several detectors may have recorded one.
     - folds: held out in turn, in order; the last one has all frames and no test frames.
     - judge: one of JUDGES.
+    - objective: log_loss or log_evidence, which structures are fitted to.
     - seed: of the start of new edges, and of the sampler.
     """
 
@@ -105,25 +125,26 @@ class Problem:
     drive_ids: tuple[int, ...]
     folds: tuple[Fold, ...]
     judge: str
+    objective: str
     seed: int
 
 
 @dataclass(frozen=True)
 class Exploration:
-    """The answer to "which edge helps?".
+    """The result of a search of edges.
 
     - edges: a row per candidate, the best first: `edge`, `change` (add or remove), `gain` alone
       (the mean over recordings of the mean over frames) with its 95 % interval over blocks of
-      frames (`gain_low`, `gain_high`; empty for `bic`), the same over drives (`over_drives`, `_low`
-      and `_high`, Student's t; empty for one drive), the number of drives in which it helps
-      (`drives`), free parameters (`free_parameters`), and in how many of the searches it was chosen
-      (`chosen`).
+      frames (`gain_low`, `gain_high`), the same over drives (`over_drives`, `_low` and `_high`,
+      Student's t; empty for one drive), the number of drives in which it helps (`drives`), free
+      parameters (`free_parameters`), whether the gain is more than chance gives the best of all
+      candidates (`passes`), and in which share of the resamples it is (`selected`).
     - structures: a row per structure: `edges`, `score`, `free_parameters`, `log_evidence`, `bic`.
-    - best: the edges in which the best structure differs from the start.
+    - best: the edges in which the best structure differs from the start; none if nothing passes.
     - gain: of the best structure over the start: `changes` as text, else as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
-    - judge: description of the gains.
+    - judge, objective: description of the gains, and what structures were fitted to.
     - directory: output directory; None in memory.
     """
 
@@ -134,6 +155,7 @@ class Exploration:
     gains: Mapping[tuple[str, str, int], float]
     model: Model
     judge: str
+    objective: str
     directory: Path | None = None
 
 
@@ -141,17 +163,21 @@ def make_problem(
     drives: Sequence[Drive],
     folds: Sequence[Fold],
     *,
-    judge: str = "log_loss",
+    judge: str | None = None,
     nodes: Sequence[str] = (),
     seed: int = 0,
 ) -> Problem:
     """Prepare a search over the edges of the graph of some drives.
 
+    - judge: one of JUDGES; by default log_loss, or bic if `fit.objective` is log_evidence. The
+      default of `fit.objective` fits the judge.
     - nodes: hidden nodes to add, with their numbers of values, e.g. `Occlusion=2`.
 
     Raises InputError for drives of different lanes, and for a judge without its data.
     """
     model = drives[0].model
+    objective = objective_of_learning(model, of_lines=judge in _OF_LINES)
+    judge = judge or ("log_loss" if objective == "log_loss" else "bic")
     check_objective(judge, "judge", JUDGES)
     if len({drive.model.n_lanes for drive in drives}) > 1:
         raise InputError("explore: the drives differ in n_lanes; explore them apart")
@@ -181,7 +207,7 @@ def make_problem(
     whole = Fold(everything(drives).train, tuple(np.zeros(0, dtype=int) for _ in drives))
     return Problem(
         model, tuple(tables), tuple(hidden), tuple(drives), evidence, tuple(ids.tolist()),
-        (whole,) if judge == "bic" else (*folds, whole), judge, seed,
+        (whole,) if judge == "bic" else (*folds, whole), judge, objective, seed,
     )  # fmt: skip
 
 
@@ -219,7 +245,7 @@ def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNo
             if len(parents) > MOST_PARENTS:
                 raise InputError(f"{edge.child} has more than {MOST_PARENTS} parents")
             if not set(parents).isdisjoint(problem.model.compiled.inputs):
-                raise InputError(f"EM learns no table that an input selects, as of {edge.child}")
+                raise InputError(f"no table that an input selects is fitted, as of {edge.child}")
         tables, bases = with_structure(problem.tables, structure, problem.seed)
         if (size := max(table.values.size for table in tables)) > MOST_NUMBERS:
             raise InputError(f"a table has {size} numbers, more than {MOST_NUMBERS}")
@@ -235,18 +261,19 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     """Fit a structure to the training frames of a fold; return also its free parameters."""
     compiled, bases = made(problem, structure)
     options = problem.model.experiment.fit
-    data = zip(problem.drives, problem.evidence, fold.train, strict=True)
-    parts = [training_of(d, t, labels=options.labels, evidence=e) for d, e, t in data if len(t)]
-    evidence, lanes, begins = zip(*parts, strict=True)
-    learned = fit_tables(
-        compiled, Evidence.concat(evidence), {"Lane": np.concatenate(lanes)},
-        np.concatenate(begins), strength=options.strength, iterations=ITERATIONS,
-        steps={
-            node: repetition_step(base, strength_of(options.strength, node[0]))
-            for node, base in bases.items()
-        },
-    ).compiled  # fmt: skip
-    return learned, free_parameters(counted_tables(learned), bases)
+    given = zip(problem.drives, problem.evidence, fold.train, strict=True)
+    data = joined(
+        [training_of(d, t, labels=options.labels, evidence=e) for d, e, t in given if len(t)]
+    )
+    strength = strength_of_learning(problem.model, problem.objective, compiled.cardinality)
+    shared: Any = {"strength": strength, "iterations": ITERATIONS}
+    if problem.objective == "log_loss":
+        learned = fit_tables_to_known(compiled, data, block=options.block, bases=bases, **shared)
+    else:
+        steps = {n: repetition_step(base, strength_of(strength, n[0])) for n, base in bases.items()}
+        learned = fit_tables(compiled, *data, steps=steps, **shared)
+    compiled = learned.compiled
+    return compiled, free_parameters(counted_tables(compiled), bases)
 
 
 def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame:
@@ -255,7 +282,8 @@ def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame
     - task: the edges of a structure, sorted, and the number of the fold.
 
     Returns the summands of the judge in each test frame of each recording, zeros if the frame is
-    crossing or not trusted; for BIC one row of it and 1, as of a mean. In `attrs` the free
+    crossing or not trusted; for BIC its share of each frame and 1, as of a mean, all recordings
+    one after the other. In `attrs` the free
     parameters, the log evidence of all frames, and BIC: log evidence less half the logarithm of the
     number of frames for each free parameter.
     """
@@ -266,8 +294,11 @@ def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame
     log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)
     n_frames = sum(map(len, beliefs))
     bic = log_evidence - numbers / 2 * math.log(n_frames)
-    values = [np.array([[bic / n_frames, 1.0]])]
-    if problem.judge != "bic":
+    if problem.judge == "bic":
+        of_frames = np.concatenate([each.log_evidence for each in beliefs])
+        shares = of_frames + (bic - log_evidence) / n_frames
+        values = [np.stack([shares, np.ones(n_frames)], axis=1)]
+    else:
         values = [*map(partial(_summands, problem.judge), problem.drives, beliefs, fold.test)]
     recording = np.repeat(np.arange(len(values)), [len(each) for each in values])
     table = pd.DataFrame(np.concatenate(values)).rename(columns=str).assign(recording=recording)
@@ -296,7 +327,8 @@ class Tried:
         self.folder = None if directory is None else directory / "tried"
         whole = [np.arange(len(drive)) for drive in problem.drives]
         data = drives_digest(problem.drives, whole), problem.tables, problem.folds
-        self.identity = digest_of(data, problem.hidden, problem.judge, problem.seed)
+        settings = problem.judge, problem.objective, problem.seed
+        self.identity = digest_of(data, problem.hidden, settings)
 
     def __call__(self, structures: Iterable[Structure], folds: Sequence[int] = ()) -> None:
         """Judge structures in some folds, by default in all."""
@@ -337,10 +369,14 @@ class Tried:
         """The mean over the recordings."""
         return float(np.mean(self.scores(structure)))
 
+    def sides(self, structure: Structure, start: Structure) -> list[list[NDArray[Any]]]:
+        """The summands of a structure and of another one, those that should be larger first."""
+        found = [self.summands(structure), self.summands(start)]
+        return found if self.judge.is_maximised else found[::-1]
+
     def gain(self, structure: Structure, start: Structure = frozenset()) -> dict[str, Any]:
         """The gain over another one with its paired intervals, as in `Exploration.edges`."""
-        sides = [self.summands(structure), self.summands(start)]
-        better, worse = sides if self.judge.is_maximised else sides[::-1]
+        better, worse = self.sides(structure, start)
         ids = list(self.problem.drive_ids[: len(better)])
         found = bootstrap_interval(better, self.judge.statistic, minus=worse, seeds=ids)
         means = pd.Series(self.scores(structure) - self.scores(start)).groupby(ids).mean()
@@ -351,13 +387,23 @@ class Tried:
         mine, before = (self.complete()[each]["free_parameters"] for each in (structure, start))
         return {**row, "drives": int((means > 0).sum()), "free_parameters": mine - before}
 
+    def tested(
+        self, structures: Sequence[Structure], start: Structure
+    ) -> tuple[BoolArray, FloatArray]:
+        """Which gains are beyond chance, and in which share of resamples: `beyond_chance`."""
+        gains = []
+        for each in structures:
+            better, worse = self.sides(each, start)
+            ids = self.problem.drive_ids[: len(better)]
+            gains.append(block_gains(better, worse, self.judge.statistic, ids))
+        return beyond_chance(np.array(gains)) if gains else (np.zeros(0, bool), np.zeros(0))
+
 
 def explore(
     problem: Problem,
     edges: Sequence[str] = (),
     *,
     trials: int = 0,
-    searches: int = 1,
     sampler: str | optuna.samplers.BaseSampler | None = None,
     pruner: optuna.pruners.BasePruner | None = None,
     directory: Path | None = None,
@@ -367,10 +413,9 @@ def explore(
     """Try each edge alone, then search the best set of edges.
 
     - edges: as `parse_edge` reads them, by default all candidates.
-    - trials: 0 for a greedy search, which adds the edge that gains most, as long as there is
-      one whose gain has an interval above zero; otherwise the
-      number of trials of an Optuna study with a switch per edge.
-    - searches: with another seed each; `chosen` counts over them.
+    - trials: 0 for a greedy search, which changes the edge that gains most, as long as there is one
+      whose gain passes; otherwise the number of trials of an Optuna study with a switch per edge,
+      of which the best set that passes is taken.
     - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
     - pruner: Optuna's. A trial reports its mean score after each fold.
     - directory: of the results, and of all fits, which a repeated call reuses.
@@ -383,40 +428,37 @@ def explore(
         made(problem, frozenset({edge}))
     alone = {edge: frozenset({edge}) for edge in named or candidates(problem)}
     pruner = pruner or optuna.pruners.NopPruner()
-    several: list[Tried] = []
-    chosen: list[Structure] = []
-    for k in range(searches):
-        seeded = replace(problem, seed=problem.seed + k)
-        study = _study(seeded, list(alone), sampler, pruner)
-        tried = Tried(seeded, directory, jobs=jobs, cluster=cluster)
-        tried([frozenset(), *alone.values()])
-        if trials:
-            _optuna(tried, list(alone), study, trials)
-            chosen.append(max(tried.complete(), key=tried.score))
-        else:
-            chosen.append(_greedy(tried, list(alone)))
-        several.append(tried)
-    first = several[0]
-    best = chosen[0]
+    study = _study(problem, list(alone), sampler, pruner)
+    tried = Tried(problem, directory, jobs=jobs, cluster=cluster)
+    start: Structure = frozenset()
+    tried([start, *alone.values()])
+    if trials:
+        _optuna(tried, list(alone), study, trials)
+        sets = [each for each in tried.complete() if each != start]
+        best = _best(tried, sets, start)
+    else:
+        best = _greedy(tried, list(alone))
     there = edges_of(problem.tables)
-    gains = {edge: first.gain(structure) for edge, structure in alone.items()}
+    gains = {edge: tried.gain(structure) for edge, structure in alone.items()}
+    passes, selected = tried.tested(list(alone.values()), start)
     rows: list[dict[str, Any]] = []
-    for edge, gain in gains.items():
+    for k, (edge, gain) in enumerate(gains.items()):
         row = {"edge": str(edge), "change": "remove" if edge in there else "add", **gain}
-        rows.append({**row, "chosen": sum(edge in each for each in chosen)})
+        rows.append({**row, "passes": bool(passes[k]), "selected": float(selected[k])})
     structures: list[dict[str, Any]] = [
-        {"edges": spelled(each, there), "score": first.score(each), **row}
-        for each, row in first.complete().items()
+        {"edges": spelled(each, there), "score": tried.score(each), **row}
+        for each, row in tried.complete().items()
     ]
     changes = spelled(best, there)
     done = Exploration(
         pd.DataFrame(sorted(rows, key=lambda row: -row["gain"])),
         pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
         best,
-        {"changes": changes, **first.gain(best)},
+        {"changes": changes, **tried.gain(best)},
         {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
         _model_of(problem, best),
         JUDGES[problem.judge],
+        problem.objective,
         directory,
     )
     if directory is not None:
@@ -437,21 +479,23 @@ def _model_of(problem: Problem, structure: Structure) -> Model:
 
 
 def _greedy(tried: Tried, edges: Sequence[Edge]) -> Structure:
-    """Change the edge that gains most, of those whose gain has an interval above zero.
-
-    Without an interval, of BIC and of short recordings, the gain itself has to be above zero.
-    """
+    """Change the edge that gains most, as long as one passes."""
     now: Structure = frozenset()
     while True:
         further = [now | {edge} for edge in edges if edge not in now]
         allowed = [each for each in further if is_allowed(tried.problem, each)]
         tried(allowed)
-        gains = [tried.gain(each, now) for each in allowed]
-        least = [g["gain"] if g["gain_low"] is None else g["gain_low"] for g in gains]
-        better = [each for each, gain in zip(allowed, least, strict=True) if gain > 0]
-        if not better:
+        after = _best(tried, allowed, now)
+        if after == now:
             return now
-        now = max(better, key=tried.score)
+        now = after
+
+
+def _best(tried: Tried, structures: Sequence[Structure], start: Structure) -> Structure:
+    """The structure with the largest score of those whose gain passes, or else the start."""
+    passes, _ = tried.tested(structures, start)
+    better = [each for each, is_better in zip(structures, passes, strict=True) if is_better]
+    return max(better, key=tried.score, default=start)
 
 
 def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:

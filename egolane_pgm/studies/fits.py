@@ -7,9 +7,10 @@ the final fit. The labels of all other frames are masked in `drives`.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -24,9 +25,9 @@ from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings, Origin, TunedOn
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.identity import content_of, digest_of, most_in_sample
-from egolane_pgm.inference.compile import Compiled, counted_tables
+from egolane_pgm.inference.compile import Compiled, counted_tables, with_tables
 from egolane_pgm.inference.expected_counts import FREE
-from egolane_pgm.inference.filtering import METHODS
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import (
     Parameter,
@@ -36,7 +37,10 @@ from egolane_pgm.parameters import (
     resolve_parameters,
 )
 from egolane_pgm.plugins import declared_parameters, plugin_errors
+from egolane_pgm.scoring.bootstrap import LEVEL
+from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies import em
+from egolane_pgm.studies.gradient_fit import fit_numbers_to_known, fit_tables_to_known
 from egolane_pgm.studies.objective import (
     PREFIX,
     beliefs_at,
@@ -55,6 +59,7 @@ from egolane_pgm.studies.search import (
     settings_of,
 )
 from egolane_pgm.studies.space import (
+    OPEN_END,
     Point,
     SearchSpace,
     coordinates,
@@ -73,14 +78,19 @@ class Fitted(dict[str, Value]):
     """Parameters and tables by name; unchanged ones are omitted.
 
     - trials: a row per trial, see `trials_of`; None without a search.
+    - posterior: of parameters that were fitted to labels, see `posterior_of`; None without any.
     """
 
     trials: pd.DataFrame | None = None
+    posterior: pd.DataFrame | None = None
 
 
 Fit = Callable[[Sequence[Drive], Sequence[IntArray], int | None], Fitted]
 
-#: The largest number of starts of EM: more were meant for a search.
+#: The default weight of the prior by the objective, rows of so many frames (log_loss: blocks).
+STRENGTHS = {"log_loss": 10.0, "log_evidence": em.STRENGTH}
+
+#: The largest number of starts: more were meant for a search.
 MOST_STARTS = 100
 
 #: The prefix of a learned table: `tables.Lane.next`; without a suffix if a node has one table.
@@ -136,9 +146,10 @@ def _resolve(model: Model, given: Mapping[str, Any]) -> dict[str, Value]:
 
 def fit_learn(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
     """Learn what `fit.learns` names: parameters of the evidence rule from labels, or the tables or
-    parameters of the graph by EM."""
-    learn = fit_rule if what_is_learned(drives[0].model) == "rule" else fit_graph
-    return learn(drives, train)
+    parameters of the graph (`fit_graph`)."""
+    if what_is_learned(drives[0].model) == "rule":
+        return fit_rule(drives, train)
+    return fit_graph(drives, train, fold)
 
 
 def what_is_learned(model: Model) -> str:
@@ -177,30 +188,69 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     return Fitted(found)
 
 
-def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """Learn the tables or the parameters of the graph by EM over all drives.
+def objective_of_learning(model: Model, *, of_lines: bool = False) -> str:
+    """What tables or parameters of the graph are fitted to (`fit.objective`).
 
-    With `fit.labels` the lane of a labelled frame is known, except while crossing. The best of
-    `fit.trials` starts is kept: the declared values, then random ones.
+    By default it is the log-loss of the filter if labels are used, and otherwise, or if the lines
+    are to be described (`of_lines`), the log evidence. Raises InputError for another score, and for
+    the log-loss without labels.
+    """
+    options = model.experiment.fit
+    where = f"{model.experiment.source}: fit.objective"
+    default = "log_loss" if options.labels and not of_lines else "log_evidence"
+    given = options.objective or (default,)
+    if given == ("log_evidence",):
+        return "log_evidence"
+    if given != ("log_loss",):
+        raise InputError(
+            f"{where}: learning fits log_loss or log_evidence, not {', '.join(given)}; name one of"
+            " them, or search with `egolane tune`"
+        )
+    if not options.labels:
+        raise InputError(
+            f"{where}: log_loss needs labels, and fit.labels is false; take log_evidence"
+        )
+    return "log_loss"
+
+
+def strength_of_learning(
+    model: Model, objective: str, nodes: Iterable[str]
+) -> float | dict[str, float]:
+    """The weight of the prior (`fit.strength`), with the default of the objective."""
+    given = model.experiment.fit.strength
+    default = STRENGTHS[objective]
+    if isinstance(given, Mapping):
+        return {**dict.fromkeys(nodes, default), **given}
+    return default if given is None else float(given)
+
+
+def fit_graph(
+    drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None = None
+) -> Fitted:
+    """Learn the tables or the parameters of the graph from all drives.
+
+    They are fitted to the labels, which the filter predicts (`gradient_fit`), or to lines and
+    labels by EM (`em`); see `objective_of_learning`. The lane of a labelled frame is known, except
+    while crossing. The best of `fit.trials` starts is kept: the declared values, then random ones.
     """
     model = drives[0].model
     options, source = model.experiment.fit, model.experiment.source
     n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
-            f"{source}: n_lanes: EM needs drives with the same number of lanes; these have"
+            f"{source}: n_lanes: learning needs drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
     if (n_starts := options.trials or 1) > MOST_STARTS:
-        raise InputError(f"{source}: fit.trials: EM takes at most {MOST_STARTS} starts")
+        raise InputError(f"{source}: fit.trials: learning takes at most {MOST_STARTS} starts")
     tuned_on = most_in_sample(drive.tuned_on() for drive in drives)
     if kept := kept_though_tuned(model, tuned_on):
         note = f"{', '.join(kept)} kept, so held-out scores may be in-sample"
         warnings.warn(f"{source}: tuned_on {tuned_on}: {note}", UserWarning, stacklevel=2)
     pairs = zip(drives, train, strict=True)
-    training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
-    evidence, lanes, begins = zip(*training, strict=True)
-    data = Evidence.concat(evidence), {"Lane": np.concatenate(lanes)}, np.concatenate(begins)
+    data = joined([training_of(drive, frames, labels=options.labels) for drive, frames in pairs])
+    if objective_of_learning(model) == "log_loss" and (data[1]["Lane"] == FREE).all():
+        raise InputError(f"{source}: fit.objective: log_loss needs a labelled frame to learn from")
     fit_from = _tables_from if what_is_learned(model) == "tables" else _parameters_from
     fits = [fit_from(drives, data, k) for k in bar(range(n_starts), unit="start")]
     # The log posterior leaves impossible frames out.
@@ -216,57 +266,149 @@ def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     if impossible:
         note = f"{graph} does not allow {impossible} frame(s) to learn from; they are left out"
         warnings.warn(f"{source}: {note}", UserWarning, stacklevel=2)
+    if fold is None and len(learned.draws):
+        found.posterior = posterior_of(drives, data, learned)
     return found
 
 
-#: Evidence, known lanes and the beginnings of sequences, as `expected_counts` takes them.
-Data = tuple[Evidence, Mapping[str, IntArray], BoolArray]
+def posterior_of(drives: Sequence[Drive], data: em.Data, learned: em.Learned) -> pd.DataFrame:
+    """The posterior of the parameters of a graph that were fitted to labels (Laplace).
+
+    Returns a row per parameter, and for `accuracy` and `log_loss` of the labelled frames that were
+    fitted to: `name`, `value`, and the ends `low`, `high` of the 95 % interval.
+    """
+    space, tables_of = tied_tables(drives)
+    evidence, known, is_first = data
+    lane = known["Lane"]
+    is_known = lane != FREE
+
+    def scores(numbers: FloatArray) -> list[float]:
+        compiled = with_tables(learned.compiled, tables_of(numbers))
+        belief = filter_beliefs(compiled, evidence, is_first=is_first).lane[is_known]
+        right = assigned_lane(belief) == lane[is_known] + 1
+        return [right.mean(), log_loss_per_frame(belief, lane[is_known] + 1).mean()]
+
+    of_draws = np.array([[*numbers, *scores(numbers)] for numbers in learned.draws])
+    low, high = np.quantile(of_draws, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    names = [*space.distributions, "accuracy", "log_loss"]
+    values = [*learned.numbers, *scores(learned.numbers)]
+    return pd.DataFrame({"name": names, "value": values, "low": low, "high": high})
 
 
-def _tables_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
+def joined(parts: Sequence[tuple[Evidence, IntArray, BoolArray]]) -> em.Data:
+    """Join what `training_of` returns for several drives."""
+    evidence, lanes, begins = zip(*parts, strict=True)
+    return Evidence.concat(evidence), {"Lane": np.concatenate(lanes)}, np.concatenate(begins)
+
+
+def _tables_from(drives: Sequence[Drive], data: em.Data, k: int) -> tuple[em.Learned, Fitted]:
     """Learn tables from start k; start 0 is the declared tables, around which the prior is."""
     model, options = drives[0].model, drives[0].experiment.fit
     compiled, nodes = start_of_learning(model).compiled, learnable_nodes(model)
     own = {node: t for node, t in counted_tables(compiled).items() if node[0] in nodes}
     start = em.drawn_tables(own, np.random.default_rng([options.seed, k])) if k else None
-    learned = em.fit_tables(compiled, *data, nodes=nodes, strength=options.strength, start=start)
+    objective = objective_of_learning(model)
+    strength = strength_of_learning(model, objective, nodes)
+    shared: Any = {"nodes": nodes, "strength": strength, "start": start}
+    if objective == "log_loss":
+        learned = fit_tables_to_known(compiled, data, block=options.block, **shared)
+    else:
+        learned = em.fit_tables(compiled, *data, **shared)
     tables = _by_name(compiled, learned.tables).items()
     return learned, Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
 
 
-def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
-    """Learn parameters from start k; start 0 is the experiment's values. The prior is flat."""
-    start, space = start_of_learning(drives[0].model), tied_space([d.model for d in drives])
-    ends = list(space.distributions.values())
-    if k:
-        units = np.random.default_rng([start.experiment.fit.seed, k]).random(len(ends))
-        first = [from_unit(d, unit) for d, unit in zip(ends, units.tolist(), strict=True)]
-    else:
-        first = list(coordinates(space, start.parameters).values())
+def _parameters_from(drives: Sequence[Drive], data: em.Data, k: int) -> tuple[em.Learned, Fitted]:
+    """Learn parameters from start k; start 0 is the experiment's values.
 
-    def point(numbers: FloatArray) -> dict[str, float]:
-        return dict(zip(space.distributions, numbers.tolist(), strict=True))
+    The prior of a fit to the labels is around these values, that of EM is flat.
+    """
+    start = start_of_learning(drives[0].model)
+    space, tables_of = tied_tables(drives)
+    options = start.experiment.fit
+    ends = list(space.distributions.values())
+    own = list(coordinates(space, start.parameters).values())
+    units = np.random.default_rng([options.seed, k]).random(len(ends)).tolist()
+    drawn = [from_unit(d, unit) for d, unit in zip(ends, units, strict=True)]
+    first = drawn if k else own
+    bounds = [(d.low, d.high) for d in ends]
+    if objective_of_learning(start) == "log_loss":
+        scales = {s.name for s in start.graph.parameters if s.kind in ("sigma", "positive")}
+        is_scale = [key.partition("[")[0] in scales for key in space.distributions]
+        if not may_be_tuned(start.experiment.tuned_on):
+            check_inside(space, own, f"{start.experiment.source}: parameters")
+        learned = fit_numbers_to_known(
+            start.compiled, data, tables_of, first, bounds, is_scale, block=options.block,
+            centre=own,
+        )  # fmt: skip
+    else:
+        learned = em.fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
+    point = dict(zip(space.distributions, learned.numbers.tolist(), strict=True))
+    return learned, Fitted(searched_values(space, options, point))
+
+
+def tied_tables(drives: Sequence[Drive]) -> tuple[SearchSpace, em.TablesOf]:
+    """The space of the parameters of the graph that are learned, and their tables by its
+    coordinates."""
+    start = start_of_learning(drives[0].model)
+    space = tied_space([drive.model for drive in drives])
 
     def tables_of(numbers: FloatArray) -> Sequence[Table]:
-        values = to_parameters(space, point(numbers))
+        point = dict(zip(space.distributions, numbers.tolist(), strict=True))
+        values = to_parameters(space, point)
         if start.graph.tables is not None:
             return start.graph.tables(start.n_lanes, values)
         return list(with_parameters(start, values).compiled.tables.values())
 
-    bounds = [(d.low, d.high) for d in ends]
-    learned = em.fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
-    tuning = start.experiment.fit
-    return learned, Fitted(searched_values(space, tuning, point(learned.numbers)))
+    return space, tables_of
+
+
+def check_inside(space: SearchSpace, values: Sequence[float], where: str) -> None:
+    """Raise InputError for a number outside of its range."""
+    for (name, d), value in zip(space.distributions.items(), values, strict=True):
+        # The ends of open ranges are allowed.
+        margin = 2 * OPEN_END * (d.high - d.low)
+        if not d.low - margin <= value <= d.high + margin:
+            raise InputError(
+                f"{where}.{name}: {value} is outside of [{d.low:g}, {d.high:g}] (fit.parameters);"
+                " widen the range, or start inside it"
+            )
+
+
+def posterior_beside_profile(
+    drives: Sequence[Drive], train: Sequence[IntArray]
+) -> pd.DataFrame | None:
+    """The posterior of the parameters of the graph by a fit to the labels, for a search.
+
+    None for a graph without real parameters, and without labels.
+    """
+    own: dict[str, Any] = {
+        "learns": "parameters",
+        "objective": ("log_loss",),
+        "parameters": {},
+        "trials": None,
+    }
+    changed = []
+    for drive in drives:
+        e = drive.experiment
+        fit = e.fit.model_copy(update=own)
+        model = replace(drive.model, experiment=e.model_copy(update={"fit": fit}))
+        changed.append(replace(drive, model=model))
+    with contextlib.suppress(InputError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return fit_graph(changed, train).posterior
+    return None
 
 
 def tied_space(models: Sequence[Model]) -> SearchSpace:
-    """The parameters of the graph that EM learns: real numbers. Raises InputError for others."""
+    """The parameters of the graph that are learned: real numbers. Raises InputError for others."""
     e = models[0].experiment
     space = search_space(models, e.fit.model_copy(update={"objective": ("log_evidence",)}))
     for name, d in space.distributions.items():
         if not isinstance(d, FloatDistribution):
             raise InputError(
-                f"{e.source}: fit.parameters.{name}: EM learns real numbers only; give it one value"
+                f"{e.source}: fit.parameters.{name}: only real numbers are learned; give it one"
+                " value"
             )
     return space
 
@@ -378,7 +520,7 @@ def fit_tune(
     space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    score = objective(drives, space, tuning, used, settings.objective, pooled=pooled)
+    score = objective(drives, space, tuning, used, settings.scores, pooled=pooled)
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, space, storage)
         if fold is None:
@@ -423,7 +565,7 @@ def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
 
     Raises InputError for models with other parameters or lanes than the first one.
     """
-    spaces, is_rule_kept = [], "log_evidence" in tuning.objective
+    spaces, is_rule_kept = [], "log_evidence" in tuning.scores
     for model in models:
         specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
         if searches_detector(tuning):
@@ -517,7 +659,7 @@ def open_study(
         # Optuna finds a damaged last line when another one follows it.
         raise InputError(f"study {name}: {error}: {cure}") from error
     content = {
-        "objective": settings.objective,
+        "objective": settings.scores,
         "sampler": sampler_name(settings.sampler),
         "seed": settings.seed,
         "space": describe(space),
@@ -541,7 +683,7 @@ def open_study(
     for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         if missing := keys - trial.params.keys():
             raise InputError(f"study {name}: trial {trial.number} has no {min(missing)}: {cure}")
-        is_whole = len(trial.values or ()) == len(settings.objective)
+        is_whole = len(trial.values or ()) == len(settings.scores)
         if not is_whole or bool in map(type, trial.params.values()):
             raise InputError(f"study {name}: trial {trial.number} has other values: {cure}")
     study.set_user_attr("identity", known)

@@ -79,7 +79,7 @@ def make_profile(
     drives shorter than two blocks of the bootstrap.
     """
     tuning = drives[0].experiment.fit
-    score = tuning.objective[0]
+    score = tuning.scores[0]
     space = search_space([drive.model for drive in drives], tuning)
     sign = 1 if SCORES[score].is_maximised else -1
     done = trials[trials["state"] == "COMPLETE"]

@@ -64,7 +64,7 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     objective for several, and a sampler whose package is not installed.
     """
     where = f"{source}: fit"
-    names = [check_objective(name, f"{where}.objective") for name in tuning.objective]
+    names = [check_objective(name, f"{where}.objective") for name in tuning.scores]
     if len(set(names)) < len(names):
         raise InputError(f"{where}.objective: a score is named twice")
     sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
@@ -118,12 +118,12 @@ def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> sa
 def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
     """Create a study, in memory unless a storage and a name are given, or load that one."""
     up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
-    directions = [up if SCORES[name].is_maximised else down for name in settings.objective]
+    directions = [up if SCORES[name].is_maximised else down for name in settings.scores]
     given["load_if_exists"] = "storage" in given
     with quiet():
         study = optuna.create_study(directions=directions, **given)
         if not study.metric_names:
-            study.set_metric_names(list(settings.objective))
+            study.set_metric_names(list(settings.scores))
     return study
 
 

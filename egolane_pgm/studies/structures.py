@@ -23,8 +23,11 @@ from egolane_pgm.types import FloatArray, InputError
 #: Random factors of the rows of a new edge are between 1 and 1 plus this.
 _JITTER = 0.2
 
-#: The share of repetition, and of a new node that stays, before the fit.
-_REPEATS, _STAYS = 0.5, 0.9
+#: The share of repetition before the fit.
+NOT_REPEATED = 1e-3
+
+#: The probability of a new node to stay in its first state, before the fit.
+_STAYS = 0.9
 
 
 @dataclass(frozen=True, order=True)
@@ -111,7 +114,7 @@ def with_structure(
                 parents = (*parents, parent)
                 if edge.repeats:
                     bases[node] = values
-                    values = repetition(values, _REPEATS)
+                    values = repetition(values, NOT_REPEATED)
                 else:
                     values = values[..., None, :] * factors
                     values /= values.sum(axis=-1, keepdims=True)
@@ -132,7 +135,7 @@ def repetition_step(base: FloatArray, strength: float) -> Step:
     - base (..., n): the table without repetition at the start.
     - strength: of its prior, frames per row.
     """
-    now, rho = base, _REPEATS
+    now, rho = base, NOT_REPEATED
 
     def step(counts: FloatArray) -> tuple[FloatArray, float]:
         nonlocal now, rho

@@ -32,6 +32,8 @@ from egolane_pgm.studies.fits import (
     apply_fit,
     fit_by_name,
     fit_nothing,
+    objective_of_learning,
+    posterior_beside_profile,
     search_space,
     what_is_learned,
 )
@@ -242,6 +244,7 @@ class Study:
       without folds.
     - trials: a row per trial of the final search; empty without one.
     - profile: of parameters, see `profile.make_profile`; empty without one.
+    - posterior: of parameters that were fitted to labels, see `fits.posterior_of`; else empty.
     - settings: of the search.
     - directory: the study directory; None in memory.
 
@@ -265,6 +268,7 @@ class Study:
     settings: Mapping[str, Any] = field(default_factory=dict)
     directory: Path | None = None
     profile: pd.DataFrame = field(default_factory=pd.DataFrame)
+    posterior: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def __repr__(self) -> str:
         from egolane_pgm.views.studies import study_title
@@ -307,8 +311,8 @@ class Study:
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write best.yaml (the fitted experiment), study.json, trials.parquet and held_out/.
 
-        Learned tables are in best.graph.yaml, a profile in profile.parquet. study.json is written
-        last.
+        Learned tables are in best.graph.yaml, a profile in profile.parquet, a posterior in
+        posterior.parquet. study.json is written last.
         """
         place = Path(directory)
         make_directory(place)
@@ -320,7 +324,8 @@ class Study:
             write_yaml(place / "best.graph.yaml", {**about, **(graph.keys or {})})
             content["graph"] = "./best.graph.yaml"
         write_yaml(place / "best.yaml", content)
-        for name, rows in (("trials", self.trials), ("profile", self.profile)):
+        for name in ("trials", "profile", "posterior"):
+            rows = getattr(self, name)
             (place / f"{name}.parquet").unlink(missing_ok=True)
             if len(rows):
                 write_parquet(place / f"{name}.parquet", rows)
@@ -466,10 +471,12 @@ def run_study(
         frames = concat_drives(final, [inferred_frames(drive) for drive in final])
     notes = [*notes, *of_fits]
     trials = pd.DataFrame() if whole.trials is None else whole.trials
+    posterior = whole.posterior
     profiled = pd.DataFrame()
     if profile:
         shared |= {"pooled": work.pooled, "directory": work.directory}
         profiled = make_profile(drives, profile, trials, **shared)
+        posterior = posterior_beside_profile(drives, whole_fold.train)
     held_out = None
     in_sample = make_result(final[0].experiment, final, frames, notes, begin=begin)
     if folds:
@@ -485,6 +492,7 @@ def run_study(
         settings=settings,
         directory=work.directory,
         profile=profiled,
+        posterior=pd.DataFrame() if posterior is None else posterior,
     )
     if work.directory is not None:
         study.save(work.directory)
@@ -505,16 +513,20 @@ def settings_of_study(
     written."""
     first = drives[0]
     if method == "learn":
-        kept = first.experiment.fit.model_dump(include={"labels", "strength", "trials", "seed"})
-        return {"learns": what_is_learned(first.model), **kept}
+        learns = what_is_learned(first.model)
+        kept = {"labels", "strength", "block", "trials", "seed"}
+        settings = {"learns": learns, **first.experiment.fit.model_dump(include=kept)}
+        if learns != "rule":
+            settings["objective"] = objective_of_learning(first.model)
+        return settings
     tuning = settings_of(first.experiment.fit, None, first.experiment.source)
     space = search_space([drive.model for drive in drives], tuning)
     for each in profile:
         values_of(space, each)
     # A sampler that does not fit shows it in a trial.
     once = tuning.model_copy(update={"trials": 1})
-    search(new_study(once), space, lambda point: [0.0] * len(tuning.objective), once)
-    settings = {"objectives": tuning.objective, "sampler": sampler_name(tuning.sampler)}
+    search(new_study(once), space, lambda point: [0.0] * len(tuning.scores), once)
+    settings = {"objectives": tuning.scores, "sampler": sampler_name(tuning.sampler)}
     return settings | tuning.model_dump(include={"trials", "seed"}) | describe(space)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from annotated_types import Ge
-
 from egolane_pgm.loading import ExperimentLike
 from egolane_pgm.studies.explore import Exploration, make_problem
 from egolane_pgm.studies.explore import explore as search
@@ -29,30 +27,32 @@ def explore(
     ground_truth: options.TruthInMemory = None,
     n_lanes: options.LanesInMemory = None,
     overrides: options.Overrides = (),
-    judge: Annotated[str, Option("SCORE")] = "log_loss",
+    judge: Annotated[str | None, Option("SCORE")] = None,
     edge: Annotated[Sequence[str], Option("EDGE")] = (),
     node: Annotated[Sequence[str], Option("NAME=SIZE")] = (),
-    searches: Annotated[int, Ge(1)] = 1,
     out: Annotated[StrPath | None, Option("DIR", default="results/exploring/*")] = None,
     jobs: options.Jobs = 1,
     cluster: options.Cluster = None,
 ) -> Exploration:
-    """Search the edges of a graph: which one helps?
+    """Search the edges of a graph: which one helps the answer, or is in the data?
 
-    Each graph is fitted by EM (`fit.labels`, `fit.strength`) and judged on held-out blocks
-    (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
-    `fit.trials` by an Optuna study (`fit.sampler`) with a switch per edge.
+    Which edge helps: each graph is fitted to the labels and judged by the lanes of held-out blocks
+    (`fit.folds`); the default with labels. Which edge is in the data: each graph is fitted by EM
+    and judged by BIC (`judge=bic`, or `fit.objective=log_evidence`). First each edge is tried
+    alone, then the best set is searched: greedily, or with `fit.trials` by an Optuna study
+    (`fit.sampler`) with a switch per edge. A gain counts if it is larger than what chance gives the
+    best of all candidates.
 
     - experiments: one, or a list: experiments, results, studies or lines, of the same number of
       lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
     - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
-    - overrides: override a key of the YAML, e.g. fit.labels=false.
+    - overrides: override a key of the YAML, e.g. fit.strength=30.
     - judge: the score to improve in held-out frames: log_loss, accuracy or another one of Lane, or
-      log_evidence of the lines; or bic of all frames.
+      log_evidence of the lines; or bic of all frames. By default log_loss, or bic if
+      `fit.objective` is log_evidence.
     - edge: a candidate, e.g. 'Lane(t-1) -> WOR'; by default all that can be compiled. Repeatable.
     - node: a hidden node to add, e.g. Occlusion=2. Repeatable.
-    - searches: number of searches, each with another seed of the new edges.
     - out: directory of the results. A `*` in it is the experiment's name.
     - jobs: processes that share the fits.
     - cluster: Dask cluster for the fits.
@@ -74,7 +74,7 @@ def explore(
     folds = block_folds(drives, fit.folds)
     problem = make_problem(drives, folds, judge=judge, nodes=node, seed=fit.seed)
     found = search(
-        problem, edge, trials=fit.trials or 0, searches=searches, sampler=fit.sampler,
+        problem, edge, trials=fit.trials or 0, sampler=fit.sampler,
         directory=place, jobs=jobs, cluster=cluster,
     )  # fmt: skip
     if place is not None:

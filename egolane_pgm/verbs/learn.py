@@ -15,7 +15,7 @@ from egolane_pgm.verbs.studied import summary as summary
 EXAMPLES = (
     "egolane learn drive/experiment.yaml",
     "egolane learn experiments/quickstart.yaml --set fit.labels=false",
-    "egolane learn X.yaml --set fit.learns=parameters --set fit.trials=5",
+    "egolane learn X.yaml --set fit.learns=parameters",
 )
 
 
@@ -35,10 +35,12 @@ def learn(
 ) -> Study:
     """Fit a model to its recording; write the fitted experiment and its held-out scores.
 
-    An evidence rule that can learn (line_geometry) learns its parameters from the labels; with any
-    other rule the tables of the graph are learned by EM, or its parameters (fit.learns=parameters),
-    from lines and labels, or from lines alone (fit.labels=false); the best of fit.trials starts is
-    kept. Each fold is scored with a fit to the frames of the other folds.
+    An evidence rule that can learn (line_geometry) learns its parameters from the labels. With any
+    other rule the tables of the graph are learned, or its parameters (fit.learns=parameters). By
+    default they minimise the log-loss of the lane, over trusted frames without a lane change, with
+    a prior around their start. With fit.objective=log_evidence, or from lines alone
+    (fit.labels=false), they are learned by EM. The best of fit.trials starts is kept. Each fold is
+    scored with a fit to the frames of the other folds.
 
     - experiments: one, or a list: experiments, results, studies or lines.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.

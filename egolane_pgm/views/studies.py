@@ -136,26 +136,45 @@ def profile_table(profile: pd.DataFrame) -> Table:
     return table(pd.DataFrame.from_dict(rows, "index").rename_axis("parameter"))
 
 
+#: What structures were fitted to, and the question that the answer belongs to.
+_QUESTIONS = {
+    "log_loss": (
+        "to the labels",
+        "which edge helps the answer; which edge is in the data: --judge bic",
+    ),
+    "log_evidence": (
+        "by EM",
+        "which edge is in the data, if BIC or log evidence judges; which edge helps the answer:"
+        " --judge log_loss",
+    ),
+}
+
+
 def exploration_text(found: Exploration, style: str) -> str:
-    """The output of `egolane explore`: which edge helps."""
+    """The output of `egolane explore`: the edges, and how sure they are."""
     edges = found.edges
     gain = found.gain
-    forms = {"gain": "+.3f", "over_drives": "+.3f"}
+    fitted, question = _QUESTIONS[found.objective]
+    forms = {"gain": "+.3f", "over_drives": "+.3f", "selected": ".2f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
+    passing = int(edges["passes"].sum())
     edges = edges.set_index(pd.Index(removed + edges["edge"], name="edge"))
-    last = "chosen" if max(edges["chosen"]) > 1 else "free_parameters"
-    shown = [["gain", "gain_low", "gain_high", last]]
+    edges["passes"] = np.where(edges["passes"], "yes", "")
+    shown = [["gain", "gain_low", "gain_high", "passes", "selected"]]
     if edges["over_drives_low"].notna().any():
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     about = f"gain {interval}, {gain['free_parameters']:+} free parameters\n  (chosen by its score"
     about += " on these frames, which is therefore optimistic)"
-    about = about if found.best else "no edge has a clear gain"
+    about = about if found.best else "the graph to start from: no gain is beyond chance"
     parts: list[str | Table] = [
-        f"{len(found.structures)} graphs were fitted; {found.judge}",
-        "each edge alone [95 % interval over blocks of frames, or over drives]:",
+        f"{len(found.structures)} graphs were fitted {fitted}; {found.judge}",
+        "each edge alone [95 % interval over blocks of frames, or over drives]; it passes if its"
+        f"\ngain is larger than what chance gives the best of {len(edges)}, and is selected in a"
+        " share of resamples:",
         *[table(edges[columns], forms) for columns in shown],
-        f"best set: {gain['changes']}\n  {about}",
+        f"{passing} of {len(edges)} edges pass\nbest set: {gain['changes']}\n  {about}",
+        f"The question was {question}.",
     ]
     return page(parts, style)
 

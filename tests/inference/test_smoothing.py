@@ -154,7 +154,7 @@ def test_where_nothing_moves_the_smoother_keeps_the_filtered_belief(
     n_frames = len(filtered)
     smoothed, index = np.empty_like(filtered), np.zeros(n_frames, dtype=np.int64)
     begins, still = np.arange(n_frames) == 0, np.eye(3)[None]
-    smooth_frames(filtered, likelihood, still, index, begins, smoothed, np.zeros((0, 0)))
+    smooth_frames(filtered, likelihood, still, index, begins, smoothed, np.zeros((0, 0, 0)))
     right = reference.smooth(filtered, likelihood, still, index, n_frames)
     np.testing.assert_allclose(smoothed, right, rtol=1e-9)
     np.testing.assert_allclose(smoothed, filtered)

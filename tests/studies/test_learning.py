@@ -115,7 +115,7 @@ def test_a_rule_that_looks_back_has_the_frames_before_the_training_frames(tmp_pa
 
 
 def test_a_lane_without_a_label_keeps_its_start() -> None:
-    one = drive()
+    one = drive(fit={"objective": "log_evidence"})
     lane, crossing = one.true_lane[one.rows], one.is_crossing[one.rows]
     found = learned(one, np.flatnonzero((lane != 4) & ~crossing))
     before = start_of_learning(one.model).compiled.tables["Lane", 1].values
@@ -142,12 +142,13 @@ def test_tables_that_may_have_been_tuned_on_the_frames_are_not_started_from() ->
 
 
 def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path: Path) -> None:
-    one = drive(tuned_on="not_tuned", parameters={"sigma1": 1e-9})
+    by_em = {"objective": "log_evidence"}
+    one = drive(tuned_on="not_tuned", parameters={"sigma1": 1e-9}, fit=by_em)
     with pytest.warns(UserWarning, match=r"sensor_failure does not allow \d+ frame\(s\) to learn"):
         learned(one)
     nothing = "return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})"
     with pytest.raises(InputError, match="graph lane_only allows no frame of the 100 to learn"):
-        learned(with_rule(tmp_path, nothing))
+        learned(with_rule(tmp_path, nothing, fit=by_em))
 
 
 # --- parameters of the graph, and several starts -------------------------------------------------
@@ -188,11 +189,13 @@ def test_learned_parameters_have_bounds_and_are_run_from_their_file(tmp_path: Pa
         "learns": "parameters",
         "parameters": {"p1": 0.7, "sigma1": [0.2, 0.3], "bonus_value": 2},
     }
-    one = drive_of(load_experiment(write_drive(tmp_path, 300, fit={**fit, "trials": 2})))
+    keys = {"fit": {**fit, "trials": 2}, "parameters": {"sigma1": 0.25}}
+    one = drive_of(load_experiment(write_drive(tmp_path, 300, **keys)))
     study = run_study([one], "learn", block_folds([one], 2), work=Work(tmp_path / "out"))
     assert set(study.fitted) == {*NAMES, "bonus_value"}
     assert (study.fitted["p1"], study.fitted["bonus_value"]) == (0.7, 2)
     assert 0.2 <= float(str(study.fitted["sigma1"])) <= 0.3
+    assert (study.posterior["low"] <= study.posterior["high"]).all()
     again = run(tmp_path / "out" / "best.yaml")
     np.testing.assert_allclose(again.node("Lane"), study.in_sample.node("Lane"), atol=1e-12)
 
@@ -219,6 +222,15 @@ REFUSED = {
     "fit.learns: evidence rule counting has no fit": {"learns": "rule"},
     "fit.strength: unknown key 'Lan' .did you mean 'Lane'": {"strength": {"Lan": 3}},
     "fit.strength: needs a number greater than 0": {"strength": {"Lane": 0}},
+    "fit.block: .*greater than or equal to 1": {"block": 0},
+    "fit.objective: learning fits log_loss or log_evidence, not f1": {"objective": "f1"},
+    "fit.objective: log_loss needs labels, and fit.labels is false": {
+        "objective": "log_loss",
+        "labels": False,
+    },
+    "parameters.sigma1: 0.4 is outside of .0.5, 1. .fit.parameters": {
+        "parameters": {"sigma1": [0.5, 1]}
+    },
     "fit.strength: needs a number greater than 0, at": {"strength": "much"},
     "fit.parameters.bonus_value: changes the evidence": {"parameters": {"bonus_value": [0, 3]}},
     "fit.parameters: every parameter is fixed": {
@@ -231,7 +243,7 @@ REFUSED = {
 def test_settings_of_learning_that_do_not_fit_are_refused(message: str) -> None:
     fit = {"learns": "parameters"} if "parameters" in message else {}
     with pytest.raises(InputError, match=message):
-        run_study([drive(fit={**fit, **REFUSED[message]})], "learn", [])
+        run_study([drive(tuned_on="not_tuned", fit={**fit, **REFUSED[message]})], "learn", [])
 
 
 # --- studies -------------------------------------------------------------------------------------

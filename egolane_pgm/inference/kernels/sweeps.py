@@ -27,7 +27,7 @@ def smooth_frames(
     transition (U, S, S); index (T,): which of the U leads into a frame.
     begins (T,): True where a sequence begins.
     smoothed (T, S): written, the joint belief about each frame.
-    moves (S, S): the expected number of moves between states is added; (0, 0) to count none.
+    moves (U, S, S): the expected number of moves between states is added; empty to count none.
 
     Later evidence that no state of the filter can lead to, in floating-point numbers, is ignored.
     """
@@ -74,7 +74,44 @@ def smooth_frames(
             for r in range(n):
                 share = filtered[t - 1, r] / total
                 for s in range(n):
-                    moves[r, s] += transition[held, r, s] * weight[s] * share
+                    moves[held, r, s] += transition[held, r, s] * weight[s] * share
+
+
+@kernel(fastmath={"contract"}, error_model="numpy")
+def count_values(
+    block: FloatArray, emission: FloatArray, states: FloatArray, counts: FloatArray
+) -> None:
+    """Count how often each joint state shows each value of a group.
+
+    block (T, K): the group's evidence e. emission (K, S). states (T, S): counts of joint states.
+    counts (K, S): states * P(value | state) e(value) / P(e | state) is added.
+    """
+    n_values, n_states = emission.shape
+    # One array, so that the compiler sees that its parts do not overlap.
+    work = np.zeros(n_values * n_states + n_states)
+    shown = work[: n_values * n_states]
+    weight = work[n_values * n_states :]
+    for t in range(block.shape[0]):
+        largest = 0.0
+        for k in range(n_values):
+            largest = max(largest, block[t, k])
+        if largest <= 0.0:
+            continue
+        for s in range(n_states):
+            weight[s] = 0.0
+        for k in range(n_values):
+            share = block[t, k] / largest
+            for s in range(n_states):
+                weight[s] += share * emission[k, s]
+        for s in range(n_states):
+            weight[s] = states[t, s] / weight[s] if weight[s] >= LEAST else 0.0
+        for k in range(n_values):
+            share = block[t, k] / largest
+            for s in range(n_states):
+                shown[k * n_states + s] += share * weight[s]
+    for k in range(n_values):
+        for s in range(n_states):
+            counts[k, s] += emission[k, s] * shown[k * n_states + s]
 
 
 @kernel()
@@ -90,7 +127,7 @@ def fixed_lag_frames(
     """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
     n_frames, n_states = filtered.shape
     window = np.empty((min(lag + 1, n_frames), n_states))
-    nothing = np.empty((0, 0))
+    nothing = np.empty((0, 0, 0))
     end = n_frames
     for t in range(n_frames - 1, -1, -1):
         part = slice(t, min(t + lag + 1, end))

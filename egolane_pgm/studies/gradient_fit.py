@@ -1,0 +1,260 @@
+"""Fits to known values: tables, or numbers from which they follow, that make the known values most
+probable under the filter.
+
+EM describes evidence and labels together; this fit minimises what a held-out score measures, the
+log-loss of the filter. Neighbouring frames are nearly the same frame, so `block` of them weigh as
+much as one against the prior. L-BFGS finds the minimum from the exact gradient
+(`inference.gradient`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.inference.compile import Compiled, counted_tables, with_tables
+from egolane_pgm.inference.gradient import log_loss_gradient
+from egolane_pgm.studies.em import Data, Learned, TablesOf, strength_of, with_learned
+from egolane_pgm.studies.structures import NOT_REPEATED, repetition
+from egolane_pgm.types import FloatArray
+
+#: The smallest entry above zero of a table.
+SMALLEST_ENTRY = float(np.finfo(np.float64).tiny)
+
+#: The step of central differences, in the coordinates of the numbers.
+STEP = 1e-5
+
+#: A number keeps this distance from its bounds, as a share of the range.
+INSIDE = 1e-3
+
+#: The step of the second derivatives, in the coordinates of the numbers.
+HESSIAN_STEP = 1e-3
+
+#: Number of draws of the posterior of numbers.
+DRAWS = 200
+
+#: Tables by their node: their gradients by the logarithm of each entry.
+Gradient = Mapping[SliceNode, FloatArray]
+
+#: Coordinates (D,), and the gradient of the log-loss per block -> minus the log prior, and the
+#: gradient of the sum of both by the coordinates.
+Descent = Callable[[FloatArray, Gradient], tuple[float, FloatArray]]
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The coordinates of a table: the logarithms of its entries, any constant added to a row; then,
+    in the compact form, the share of repetition.
+
+    - base: the table around which the prior is, without the repetition.
+    - strength: of the prior, frames per row.
+    """
+
+    base: FloatArray
+    strength: float
+    repeats: bool
+
+    @property
+    def ends(self) -> list[tuple[float, float]]:
+        """The range of each coordinate."""
+        repeated = [(NOT_REPEATED, 1 - NOT_REPEATED)] * self.repeats
+        return [(-np.inf, np.inf)] * self.base.size + repeated
+
+    def coordinates(self, values: FloatArray) -> FloatArray:
+        """The coordinates of a table that does not repeat."""
+        logs = np.log(np.maximum(values, SMALLEST_ENTRY)).ravel()
+        return np.append(logs, [NOT_REPEATED] * self.repeats)
+
+    def rows(self, x: FloatArray) -> FloatArray:
+        """The table without the repetition. An entry stays zero or above zero."""
+        allowed = self.base > 0
+        logs = np.where(allowed, x[: self.base.size].reshape(self.base.shape), -np.inf)
+        rows = np.exp(logs - logs.max(axis=-1, keepdims=True))
+        rows /= rows.sum(axis=-1, keepdims=True)
+        return np.where(allowed, np.maximum(rows, SMALLEST_ENTRY), 0.0)
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """The table."""
+        return repetition(self.rows(x), x[-1]) if self.repeats else self.rows(x)
+
+    def descent(self, x: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
+        """Minus the log prior, and the gradient (`Descent`)."""
+        rows = self.rows(x)
+        allowed = self.base > 0
+        ratio = np.log(self.base[allowed]) - np.log(rows[allowed])
+        cost = self.strength * float((self.base[allowed] * ratio).sum())
+        slope = np.zeros(len(x))
+        if self.repeats:
+            rho = x[-1]
+            full = repetition(rows, rho)
+            by_entry = np.divide(gradient, full, out=np.zeros_like(full), where=full > 0)
+            share = np.eye(rows.shape[-1]) - rows[..., None, :]
+            by_prior = (1 - NOT_REPEATED) / (1 - rho) - NOT_REPEATED / rho
+            slope[-1] = (by_entry * share).sum() + self.strength * by_prior
+            cost -= self.strength * NOT_REPEATED * np.log(rho / NOT_REPEATED)
+            cost -= self.strength * (1 - NOT_REPEATED) * np.log((1 - rho) / (1 - NOT_REPEATED))
+            gradient = (1 - rho) * by_entry.sum(axis=-2) * rows
+        by_logs = gradient - rows * gradient.sum(axis=-1, keepdims=True)
+        slope[: rows.size] = (by_logs + self.strength * (rows - self.base)).ravel()
+        return cost, slope
+
+
+def fit_tables_to_known(
+    compiled: Compiled,
+    data: Data,
+    *,
+    nodes: Sequence[str] | None = None,
+    strength: float | Mapping[str, float],
+    block: float,
+    bases: Mapping[SliceNode, FloatArray] | None = None,
+    start: Mapping[SliceNode, Table] | None = None,
+    iterations: int = 200,
+) -> Learned:
+    """Fit the tables of a network to known values.
+
+    - data: evidence, known values and beginnings of sequences, as for `expected_counts`.
+    - nodes, strength, start: as in `em.fit_tables`; the prior of the tables is the same.
+    - block: number of frames that weigh as much as one.
+    - bases: tables in the compact form (`structures.repetition`), without the repetition, whose
+      share has a prior of the weight of one row.
+    - iterations: largest number of steps of L-BFGS.
+    """
+    declared = counted_tables(compiled)
+    bases = bases or {}
+    forms: dict[SliceNode, _Rows] = {}
+    for node, table in declared.items():
+        if nodes is None or node[0] in nodes:
+            base = bases.get(node, table.values)
+            forms[node] = _Rows(base, strength_of(strength, node[0]), node in bases)
+    ends = [form.ends for form in forms.values()]
+    cuts = np.cumsum([0, *map(len, ends)])
+    parts = dict(zip(forms, map(slice, cuts, cuts[1:]), strict=True))
+
+    def network_of(x: FloatArray) -> Compiled:
+        found = {node: forms[node].values(x[part]) for node, part in parts.items()}
+        tables = {n: Table(n, declared[n].parents, values) for n, values in found.items()}
+        return with_learned(compiled, tables)
+
+    def descent(x: FloatArray, gradient: Gradient) -> tuple[float, FloatArray]:
+        found = [forms[n].descent(x[part], gradient[n]) for n, part in parts.items()]
+        costs, slopes = zip(*found, strict=True)
+        return sum(costs), np.concatenate(slopes)
+
+    at = {**declared, **(start or {})}
+    first = [
+        form.coordinates(form.base if node in bases else at[node].values)
+        for node, form in forms.items()
+    ]
+    x, bounds = np.concatenate(first), list(chain.from_iterable(ends))
+    learned, _, _ = _minimised(network_of, descent, x, bounds, data, block, iterations)
+    return learned
+
+
+def fit_numbers_to_known(
+    compiled: Compiled,
+    data: Data,
+    tables_of: TablesOf,
+    start: Sequence[float],
+    bounds: Sequence[tuple[float, float]],
+    is_scale: Sequence[bool],
+    *,
+    block: float,
+    centre: Sequence[float],
+    iterations: int = 100,
+) -> Learned:
+    """Fit numbers to known values.
+
+    The coordinate of a scale, such as sigma1, is its logarithm, that of another number the logit of
+    its position within its bounds.
+
+    - data, block, iterations: as in `fit_tables_to_known`.
+    - tables_of, start, bounds: as in `em.fit_tied`.
+    - is_scale: which of the D numbers are scales.
+    - centre: of the prior, which is normal with a standard deviation of 1 in the coordinates.
+
+    The `draws` of the result are of Laplace's approximation of the posterior: a normal distribution
+    in the coordinates with the second derivatives of the log posterior at its maximum.
+    """
+    low, high = np.array(bounds, dtype=np.float64).T
+    logs = np.array(is_scale)
+
+    def coordinates(numbers: FloatArray) -> FloatArray:
+        # A number at its bound is a little inside.
+        unit = np.clip((numbers - low) / (high - low), INSIDE, 1 - INSIDE)
+        logits = np.log(unit / (1 - unit))
+        return np.asarray(np.where(logs, np.log(low + unit * (high - low)), logits))
+
+    def numbers_at(x: FloatArray) -> FloatArray:
+        return np.asarray(np.where(logs, np.exp(x), low + (high - low) / (1 + np.exp(-x))))
+
+    def tables_at(x: FloatArray) -> dict[SliceNode, FloatArray]:
+        return {table.node: table.values for table in tables_of(numbers_at(x))}
+
+    def network_of(x: FloatArray) -> Compiled:
+        return with_tables(compiled, tables_of(numbers_at(x)))
+
+    middle = coordinates(np.asarray(centre))
+
+    def descent(x: FloatArray, gradient: Gradient) -> tuple[float, FloatArray]:
+        now = tables_at(x)
+        slope = x - middle
+        cost = float((slope * slope).sum()) / 2
+        by_entry = {
+            node: np.divide(g, now[node], out=np.zeros_like(g), where=now[node] > 0)
+            for node, g in gradient.items()
+        }
+        for k, step in enumerate(STEP * np.eye(len(x))):
+            up, down = tables_at(x + step), tables_at(x - step)
+            moved = {node: (up[node] - down[node]) / (2 * STEP) for node in by_entry}
+            slope[k] += sum(float((g * moved[node]).sum()) for node, g in by_entry.items())
+        return cost, slope
+
+    ends = list(zip(coordinates(low), coordinates(high), strict=True))
+    first = coordinates(np.asarray(start))
+    learned, x, slope_at = _minimised(network_of, descent, first, ends, data, block, iterations)
+    steps = HESSIAN_STEP * np.eye(len(x))
+    hessian = np.array([slope_at(x + step) - slope_at(x - step) for step in steps])
+    curvature, axes = np.linalg.eigh((hessian + hessian.T) / (4 * HESSIAN_STEP))
+    # Where the log posterior is hardly curved, the prior alone counts.
+    spread = 1 / np.sqrt(np.maximum(curvature, 1.0))
+    normal = np.random.default_rng(0).normal(size=(DRAWS, len(x)))
+    draws = np.clip(x + (normal * spread) @ axes.T, *np.array(ends).T)
+    return replace(learned, numbers=numbers_at(x), draws=numbers_at(draws))
+
+
+def _minimised(
+    network_of: Callable[[FloatArray], Compiled],
+    descent: Descent,
+    start: FloatArray,
+    ends: Sequence[tuple[float, float]],
+    data: Data,
+    block: float,
+    iterations: int,
+) -> tuple[Learned, FloatArray, Callable[[FloatArray], FloatArray]]:
+    """Minimise the log-loss per block less the log prior.
+
+    Returns the fit, its coordinates, and the gradient as a function of them.
+    """
+    # Slow to import.
+    from scipy.optimize import minimize
+
+    history: list[float] = []
+    evidence, known, is_first = data
+    weight = np.full(len(evidence), 1 / block)
+
+    def loss(x: FloatArray) -> tuple[float, FloatArray]:
+        found = log_loss_gradient(network_of(x), evidence, known, is_first, weight=weight)
+        cost, slope = descent(x, found.gradient)
+        history.append(-found.loss - cost)
+        return -history[-1], slope
+
+    options = {"maxiter": iterations}
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=ends, options=options)
+    network = network_of(found.x)
+    is_impossible = log_loss_gradient(network, *data).is_impossible
+    learned = Learned(network, np.array([history[0], -found.fun]), is_impossible)
+    return learned, found.x, lambda x: loss(x)[1]
