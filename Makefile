@@ -63,10 +63,10 @@ paper: .venv/.run
 	cp $(addprefix $(RUNS)/figures/,$(addsuffix .png,strips confusion reliability dispersion)) results/paper/
 	$(BIN)/egolane show sensor_failure --out results/paper/network.png
 
-# What results/graphs/ holds: which edge helps, and whether models look like the data (half an hour
+# What results/graphs/ holds: fits, which edge helps, and whether models look like the data (half an hour
 # of one core). Structures whose fits are in results/runs are not fitted again.
 graphs: .venv/.run
-	$(BIN)/python -m makers.graphs edges checks
+	$(BIN)/python -m makers.graphs fits edges checks
 	$(BIN)/egolane tune experiments/paper/run01_italy_ml.yaml --trials 600 --folds 0 \
 		$(addprefix --profile ,sigma1 sigma2 p1 p2 p3 p4) --out $(RUNS)/profiled
 	cp $(RUNS)/profiled/figures/profile.png results/graphs/

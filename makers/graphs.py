@@ -1,8 +1,9 @@
-"""`python -m makers.graphs edges checks`: results/graphs, on the paper's ten recordings.
+"""`python -m makers.graphs fits edges checks`: results/graphs, on the paper's ten recordings.
 
-`edges` searches the edges of the paper's graph for each recording (half an hour of one core),
-`checks` are the predictive checks of graphs with learned tables (three minutes). The structures
-that were fitted are kept in results/runs. Needs EGOLANE_DATA.
+`fits` compares what the paper's graph is fitted to (ten minutes of one core), `edges` searches its
+edges for each recording (half an hour), `checks` are the predictive checks of graphs with learned
+tables (three minutes). The structures that were fitted are kept in results/runs. Needs
+EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from egolane_pgm.checking import Draws, Statistic, changes_per_hour, mean_run, s
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.runs import open_input
 from egolane_pgm.scoring.bootstrap import bootstrap_interval
-from egolane_pgm.studies.explore import Tried, explore, make_problem
+from egolane_pgm.scoring.confusion import log_loss_per_frame
+from egolane_pgm.scoring.scores import mean
+from egolane_pgm.studies.explore import Exploration, Tried, explore, make_problem
 from egolane_pgm.studies.structures import Structure, edges_of, parse_edge, spelled
 from egolane_pgm.studies.study import block_folds
 from egolane_pgm.tools.files import write_text
@@ -53,17 +56,89 @@ def experiment(run: int) -> Any:
     return ego.load_experiment(paper_experiment(run), keys)
 
 
-def searched(run: int) -> tuple[Structure, pd.Series, Structure, Tried]:
-    """Search the edges of the graph on a run.
+#: The paper's graph with round numbers, and what it is fitted to.
+DEFAULTS = {"sigma1": 0.4, "sigma2": 0.5, "p1": 0.9, "p2": 0.9, "p3": 0.6, "p4": 0.6}
+FITS = {
+    "defaults": {"fit.method": "none"},
+    "search for accuracy, 200 trials": {"fit.method": "tune", "fit.trials": 200},
+    "EM": {"fit.method": "learn", "fit.objective": "log_evidence"},
+    "tables to the labels": {"fit.method": "learn"},
+    "numbers to the labels": {"fit.method": "learn", "fit.learns": "parameters"},
+}
 
-    Returns the best set by log-loss, the gains in BIC, the best set by BIC, and what fits more.
-    """
+#: The runs of line detectors on each road.
+LINES = {"Italy": range(1, 5), "Spain": range(6, 10)}
+
+
+def of_fit(run: int, **keys: Any) -> Any:
+    """A run of the paper with the default parameters."""
+    return ego.load_experiment(
+        experiment(run), {"parameters": {"bonus_value": 9, **DEFAULTS}, **keys}
+    )
+
+
+def judged(frames: pd.DataFrame) -> FloatArray:
+    """The log-loss and whether the lane is right in each frame, and whether it counts (K, 3)."""
+    belief = frames.filter(regex=r"^Lane_\d+$").to_numpy()
+    lane = frames["true_lane"].to_numpy(int)
+    counts = ~frames["is_crossing"].to_numpy(bool)
+    loss = log_loss_per_frame(belief, lane)
+    return (
+        np.stack([loss, belief.argmax(axis=1) + 1 == lane, np.ones(len(lane))], axis=1)
+        * counts[:, None]
+    )
+
+
+def fits() -> None:
+    """Write fits.md: what the paper's graph is best fitted to, on unseen frames."""
+    found: dict[str, dict[int, FloatArray]] = {name: {} for name in FITS}
+    for name, keys in FITS.items():
+        for run in range(1, 11):
+            result = ego.run(of_fit(run, **keys, **{"fit.folds": 3}), held_out=True)
+            found[name][run] = judged(result.frames)
+    other = found["numbers to the labels of the other road"] = {}
+    for road, target in (("Italy", "Spain"), ("Spain", "Italy")):
+        learn = {"fit.learns": "parameters"}
+        study = ego.learn([of_fit(run, **learn) for run in LINES[road]], folds=0)
+        for run in LINES[target]:
+            frames = ego.run(of_fit(run, parameters={**study.experiment.parameters})).frames
+            other[run] = judged(frames)
+    names = {run: paper_experiment(run).stem.split("_")[-1] for run in range(1, 11)}
+    rows, each = {}, {}
+    for name, runs in found.items():
+        lines = [run for runs_of in LINES.values() for run in runs_of]
+        row = rows[name] = {}
+        for k, score in enumerate(("log-loss", "accuracy")):
+            pairs = [(runs[run][:, [k, 2]], found["defaults"][run][:, [k, 2]]) for run in lines]
+            mine, start = map(list, zip(*pairs, strict=True))
+            row[score] = np.mean([side[:, 0].sum() / side[:, 1].sum() for side in mine])
+            change = bootstrap_interval(mine, mean, minus=start, seeds=[0] * 4 + [1] * 4)
+            row |= {f"change in {score}": change.estimate}
+            row |= {f"change in {score}_low": change.low, f"change in {score}_high": change.high}
+        each[name] = {
+            f"{run} {names[run]}": runs[run][:, 0].sum() / runs[run][:, 2].sum()
+            if run in runs
+            else None
+            for run in names
+        }
+    table_of = pd.DataFrame(rows).T.rename_axis("fit")
+    forms = {c: "+.3f" if c.startswith("change") else ".3f" for c in table_of}
+    of_runs = pd.DataFrame(each).T.rename_axis("log-loss")
+    parts = [
+        "# What is the graph fitted to?\n\nMade by `make graphs`; [how](README.md#how).",
+        page([table(table_of, forms)], style="wide"),
+        page([table(of_runs, dict.fromkeys(of_runs, ".3f"))], style="wide"),
+    ]
+    write_text(PAGES / "fits.md", "\n\n".join(parts) + "\n")
+
+
+def searched(run: int) -> tuple[Exploration, Exploration, Tried]:
+    """Search the edges of the graph on a run, by log-loss and by BIC; also return the fits."""
     drives, place = open_input(experiment(run)).drives(), RUNS / "edges" / f"run{run:02d}"
     problem = make_problem(drives, block_folds(drives, 3))
     bic = explore(make_problem(drives, (), judge="bic"), EDGES, directory=place / "bic")
-    best = explore(problem, EDGES, directory=place).best
-    tried = Tried(problem, place, jobs=1, cluster=None)
-    return best, bic.edges.set_index("edge")["gain"], bic.best, tried
+    found = explore(problem, EDGES, directory=place)
+    return found, bic, Tried(problem, place, jobs=1, cluster=None)
 
 
 def gain_of(tried: Tried, structure: Structure) -> FloatArray:
@@ -75,8 +150,12 @@ def gain_of(tried: Tried, structure: Structure) -> FloatArray:
 
 def edges() -> None:
     """Write edges.md and edges.png: which edge helps, by held-out log-loss and by BIC."""
-    best, gains_in_bic, by_bic, runs = map(list, zip(*map(searched, range(1, 11)), strict=True))
-    bic, problem = pd.DataFrame(gains_in_bic), runs[0].problem
+    found_by, bic_by, runs = map(list, zip(*map(searched, range(1, 11)), strict=True))
+    best, by_bic = ([one.best for one in several] for several in (found_by, bic_by))
+    alone, of_bic = (
+        [one.edges.set_index("edge") for one in several] for several in (found_by, bic_by)
+    )
+    problem = runs[0].problem
     nodes, there = [*problem.hidden, *problem.model.compiled.observed], edges_of(problem.tables)
     sets = {"own best set": best, "of the other road": best[5:] + best[:5], "best by BIC": by_bic}
     each, rows = {}, {}
@@ -89,11 +168,12 @@ def edges() -> None:
         for road, part in ROADS.items():
             # The runs of a road are one drive, which is resampled.
             seeds = ([0] * 5 + [1] * 5)[part]
-            found = bootstrap_interval(gains[part], lambda s: s[..., 0] / s[..., 1], seeds=seeds)
+            found = bootstrap_interval(gains[part], mean, seeds=seeds)
             row |= {road: found.estimate, f"{road}_low": found.low, f"{road}_high": found.high}
         if name in EDGES:
-            row["chosen in"] = sum(structures[0] <= one for one in best)
-            row |= {"BIC": bic[name].mean(), "BIC helps in": (bic[name] > 0).sum()}
+            row["passes in"] = sum(one.loc[name, "passes"] for one in alone)
+            row["BIC"] = np.mean([one.loc[name, "gain"] for one in of_bic])
+            row["passes by BIC in"] = sum(one.loc[name, "passes"] for one in of_bic)
             row["chosen by BIC in"] = sum(structures[0] <= one for one in by_bic)
     names = [f"{run} {paper_experiment(run).stem.split('_')[-1]}" for run in range(1, 11)]
     gained = pd.DataFrame(each, index=names).T.rename_axis("gain")
@@ -140,7 +220,10 @@ def checked(run: int, graph: str | None) -> pd.Series:
     """The checks of a graph learned from a run, or of the paper's model; and for each observed node
     the mean distance between the probability of a value one frame ahead and how often it comes."""
     given = experiment(run)
-    network = ego.learn(given, graph=graph, folds=0).model.network if graph else None
+    by_em = {"fit.objective": "log_evidence"}
+    network = (
+        ego.learn(given, graph=graph, folds=0, overrides=by_em).model.network if graph else None
+    )
     result = ego.run(given, graph=network)
     of_sensor = {"share failed": failed(share), "mean failure, s": failed(mean_run)}
     statistics = {"changes per hour": changes_per_hour, **of_sensor}
@@ -170,4 +253,4 @@ def checks() -> None:
 
 if __name__ == "__main__":
     for name in sys.argv[1:]:
-        {"edges": edges, "checks": checks}[name]()
+        {"fits": fits, "edges": edges, "checks": checks}[name]()

@@ -17,11 +17,12 @@ from egolane_pgm.inference.compile import Compiled, counted_tables, takes_any_mo
 from egolane_pgm.inference.filtering import (
     evidence_blocks,
     first_frames,
+    fixed_states,
     forward,
     joint_input,
     state_likelihood,
 )
-from egolane_pgm.inference.kernels.sweeps import count_values, smooth_frames
+from egolane_pgm.inference.kernels.sweeps import count_kernel, smooth_kernel
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.
@@ -73,7 +74,9 @@ def expected_counts(
     likelihood[is_impossible] = 1.0
     smoothed = np.empty((n_frames, n_states))
     moves = np.zeros_like(compiled.transition)
-    smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)
+    smooth_kernel(fixed_states(compiled, n_frames))(
+        filtered, likelihood, compiled.transition, index, begins, smoothed, moves
+    )
     counts = counts_of_tables(compiled, evidence, smoothed, moves, begins, is_impossible)
     counts = {node: counts[node] for node in counted_tables(compiled)}
     return Expected(counts, float(log_evidence.sum()), is_impossible)
@@ -92,7 +95,7 @@ def known_states(compiled: Compiled, known: Mapping[str, IntArray], n_frames: in
         states = compiled.node_value[node] == np.arange(compiled.cardinality[node] + 1)[:, None]
         # The last row is that of FREE.
         states[FREE] = True
-        agrees &= states[value]
+        agrees &= states[np.asarray(value)]
     return agrees
 
 
@@ -123,7 +126,8 @@ def counts_of_tables(
         if g in targets:
             emission = np.ascontiguousarray(compiled.groups[g].emission.T)
             count = np.zeros_like(emission)
-            count_values(block, emission, shown, count)
+            n_states = fixed_states(compiled, len(block))
+            count_kernel(n_states and len(emission), n_states)(block, emission, shown, count)
             array_of[g] = count.T
     counts: dict[SliceNode, FloatArray] = {}
     for (name, s), place in compiled.places.items():

@@ -84,7 +84,20 @@ def study_text(study: Study, style: str) -> str:
         columns["best"] = [cell(value) for value in values.values()]
         if folds:
             columns["folds"] = [_range([f[name] for f in folds if name in f]) for name in values]
+        posterior = study.posterior.set_index("name") if len(study.posterior) else None
+        if posterior is not None:
+            known = posterior.index.intersection(list(values))
+            ranges = {name: _ends(posterior.loc[name]) for name in known}
+            columns["posterior (95 %)"] = [ranges.get(name, "") for name in values]
         parts.append(table(pd.DataFrame(columns, index=pd.Index(values, name="parameter"))))
+        if posterior is not None:
+            scores_of = [
+                f"{name} {_ends(posterior.loc[name])}" for name in ("accuracy", "log_loss")
+            ]
+            parts.append(
+                "posterior of a fit to the labels (Laplace): over it, in-sample,"
+                f" {', '.join(scores_of)}"
+            )
     objectives = list(study.settings.get("objectives", ()))
     if len(objectives) > 1:
         front = pareto_front(study.trials, objectives).set_index("number").rename_axis("trial")
@@ -95,7 +108,7 @@ def study_text(study: Study, style: str) -> str:
         parts.append(table(front[objectives].iloc[shown]))
     if len(study.profile):
         parts.append(f"profile of {objectives[0]} (in-sample), others searched again:")
-        parts.append(profile_table(study.profile))
+        parts.append(profile_table(study.profile, study.posterior))
     tables = [name for name in study.fitted if name not in values]
     if tables:
         parts.append(f"fitted tables and lists: {', '.join(tables)}")
@@ -119,9 +132,19 @@ def pareto_front(trials: pd.DataFrame, objectives: Sequence[str]) -> pd.DataFram
     return front.sort_values(first, ascending=_sign(first) < 0, kind="stable")
 
 
-def profile_table(profile: pd.DataFrame) -> Table:
-    """A row per parameter: its best value, and the range of the values that are not ruled out."""
+def _ends(row: Any) -> str:
+    """An interval of a posterior as text."""
+    return f"[{cell(float(row['low']))}, {cell(float(row['high']))}]"
+
+
+def profile_table(profile: pd.DataFrame, posterior: pd.DataFrame) -> Table:
+    """A row per parameter: its best value, and the range of the values that are not ruled out.
+
+    - posterior: of the same parameters by a fit to the labels; empty for none. A parameter whose
+      interval has a value that is ruled out, or whose best value lies outside, is marked.
+    """
     rows = {}
+    intervals = posterior.set_index("name") if len(posterior) else posterior
     for name, found in profile.groupby("parameter", sort=False):
         value = found["value"]
         kept = found["value"][~found["is_ruled_out"]]
@@ -132,7 +155,13 @@ def profile_table(profile: pd.DataFrame) -> Table:
             words = f"at most {cell(kept.max())}"
         elif kept.max() == value.max():
             words = f"at least {cell(kept.min())}"
-        rows[name] = {"best": value[found["difference"].idxmin()], "not ruled out (95 %)": words}
+        best = value[found["difference"].idxmin()]
+        rows[name] = {"best": best, "not ruled out (95 %)": words}
+        if name in intervals.index:
+            low, high = (float(intervals.loc[name, end]) for end in ("low", "high"))
+            is_apart = kept.max() < low or kept.min() > high
+            differ = "yes" if is_apart or not low <= best <= high else ""
+            rows[name] |= {"posterior (95 %)": _ends(intervals.loc[name]), "they differ": differ}
     return table(pd.DataFrame.from_dict(rows, "index").rename_axis("parameter"))
 
 
@@ -185,24 +214,33 @@ def exploration_text(found: Exploration, style: str) -> str:
 def draw_study(
     directory: str | Path, target: str | Path | None = None, style: str = "png"
 ) -> list[Path]:
-    """Draw the history and the profile of a study.
+    """Draw the history, the profile and the posterior of a study.
 
     - directory: as `Study.save` writes it. target: default `figures/` in it.
     - style: png, pdf or svg.
 
-    Raises InputError for a directory without a search, and for one without a complete trial.
+    Raises InputError for a directory without a search or a posterior, and for one without a
+    complete trial.
     """
     place = Path(directory)
-    document, trials = read_trials(place)
-    name = f"{document['name']}: {len(trials)} trials"
-    file = place / "profile.parquet"
-    profile = read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
-    figures: dict[str, Callable[[], Figure]] = {
-        "history": lambda: history_figure(trials, document, name),
-        "profile": lambda: profile_figure(trials, document, name, profile),
+    figures: dict[str, Callable[[], Figure]] = {}
+    kept = {
+        each: read_parquet(place / f"{each}.parquet")
+        for each in ("profile", "posterior")
+        if (place / f"{each}.parquet").is_file()
     }
-    if len(document["settings"]["objectives"]) > 1:
-        figures["front"] = lambda: front_figure(trials, document, name)
+    if "posterior" in kept:
+        figures["posterior"] = lambda: posterior_figure(kept["posterior"], place.name)
+    if "posterior" not in kept or (place / "trials.parquet").is_file():
+        document, trials = read_trials(place)
+        name = f"{document['name']}: {len(trials)} trials"
+        profile = kept.get("profile", pd.DataFrame({"parameter": [], "score": []}))
+        figures["history"] = lambda: history_figure(trials, document, name)
+        figures["profile"] = lambda: profile_figure(
+            trials, document, name, profile, kept.get("posterior")
+        )
+        if len(document["settings"]["objectives"]) > 1:
+            figures["front"] = lambda: front_figure(trials, document, name)
     return write_figures(figures, Path(target or place / "figures"), style)
 
 
@@ -272,12 +310,17 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
 
 
 def profile_figure(
-    trials: pd.DataFrame, document: Mapping[str, Any], title: str, profile: pd.DataFrame
+    trials: pd.DataFrame,
+    document: Mapping[str, Any],
+    title: str,
+    profile: pd.DataFrame,
+    posterior: pd.DataFrame | None = None,
 ) -> Figure:
     """Draw the score over each parameter, and the best values of all frames and of the folds.
 
     - profile: of the parameters that have one; the others get none. Values that are not ruled out
       are shaded.
+    - posterior: of a fit to the labels; its intervals are bars below.
     """
     score, sign = _score(document)
     importance = importances(trials, document["settings"])
@@ -311,6 +354,11 @@ def profile_figure(
             ax.plot(found["value"], found["score"], lw=1.2, **look)
             ax.fill_between(found["value"], *ends, color=MODEL_COLOUR, alpha=0.25, lw=0)
             ax.axvspan(kept.min(), kept.max(), color=FAINT, alpha=0.4, lw=0, label="not ruled out")
+        if posterior is not None and name in set(posterior["name"]):
+            ends = posterior.set_index("name").loc[name, ["low", "high"]]
+            look = {"color": DETECTOR_COLOUR, "lw": 4, "alpha": 0.5, "solid_capstyle": "butt"}
+            look |= {"label": "posterior, fit to the labels"}
+            ax.plot(ends.astype(float), [low, low], **look)
         share = f" ({100 * importance.get(name, 0):.0f} %)" if importance else ""
         ax.set(xlabel=f"{name}{share}", ylim=(low, high))
     for ax in axes[:, 0]:
@@ -319,6 +367,22 @@ def profile_figure(
     note = "in brackets: importance for reaching the best tenth of the trials (PED-ANOVA)"
     place: Any = {"loc": "outside lower left", "ncols": 3, "alignment": "left"}
     figure.legend(*entries, title=note if importance else None, **place)
+    return figure
+
+
+def posterior_figure(posterior: pd.DataFrame, title: str) -> Figure:
+    """Draw the posterior of each number: the fit and the 95 % interval."""
+    figure = new_figure(6, 1.2 + 0.28 * len(posterior), f"{title}: fit to the labels")
+    ax = figure.subplots()
+    rows = np.arange(len(posterior))
+    look: Any = {"color": MODEL_COLOUR, "alpha": 0.4, "lw": 5}
+    ax.hlines(rows, posterior["low"], posterior["high"], label="95 % interval (Laplace)", **look)
+    ax.plot(posterior["value"], rows, "o", color=MODEL_COLOUR, ms=5, label="fit")
+    ax.set_yticks(rows, posterior["name"].str.replace("_", " "))
+    ax.set_xlim(left=0)
+    ax.set_xlabel("sigma in lanes, p as a probability; accuracy and log-loss (nats) in-sample")
+    ax.invert_yaxis()
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 

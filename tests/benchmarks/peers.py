@@ -126,6 +126,46 @@ def dynamax_filter(compiled: Sequence[Compiled], evidence: Evidence, u: int = 0)
     return lambda: jax.block_until_ready(run(*on_device))
 
 
+def dynamax_gradient(
+    compiled: Compiled, evidence: Evidence, lane: IntArray
+) -> Callable[[], FloatArray]:
+    """The gradient of the log-loss of the lane by the logarithms of all tables, flattened in the
+    order of `places`: automatic differentiation through dynamax's filter."""
+
+    @cache
+    def made() -> Callable[[], Any]:
+        import jax
+        from dynamax.hidden_markov_model import hmm_filter
+
+        jax.config.update("jax_enable_x64", True)
+        jnp = jax.numpy
+        blocks = blocks_of(compiled, evidence)
+        used = np.flatnonzero(lane >= 0)
+        nodes = dict.fromkeys(
+            (n, 1) if n in compiled.one_table else (n, s) for n, s in compiled.places
+        )
+
+        def loss(logs: list[Any]) -> Any:
+            tables = dict(zip(nodes, logs, strict=True))
+            arrays: dict[Any, Any] = {}
+            for (name, s), place in compiled.places.items():
+                table = tables[(name, 1) if name in compiled.one_table else (name, s)]
+                arrays[place.target] = arrays.get(place.target, 0.0) + table[place.indices]
+            emissions = [jnp.exp(arrays[g]) for g in range(len(blocks))]
+            likelihood = jnp.log(state_likelihoods(emissions, blocks))
+            prior = jnp.exp(arrays["prior"][0])
+            moves = jnp.exp(arrays["transition"][0])
+            beliefs = hmm_filter(prior, moves, likelihood).filtered_probs
+            agrees = compiled.node_value["Lane"][None] == lane[used, None]
+            return -jnp.log((beliefs[used] * agrees).sum(axis=1)).sum()
+
+        run = jax.jit(jax.grad(loss))
+        logs = [jnp.log(compiled.tables[node].values) for node in nodes]
+        return lambda: jax.block_until_ready(run(logs))
+
+    return lambda: np.concatenate([np.ravel(each) for each in made()()])
+
+
 def dynamax_paths(compiled: Compiled, evidence: Evidence, n: int) -> Callable[[], IntArray]:
     """Paths of the posterior by dynamax, as joint states (n, T); compiled in the first call."""
     emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)

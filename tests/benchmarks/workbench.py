@@ -15,6 +15,7 @@ import pandas as pd
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, uniform, within
 from egolane_pgm.inference.compile import Compiled, compile_tables
+from egolane_pgm.inference.gradient import log_loss_gradient
 from egolane_pgm.inference.sampling import drawn_paths, sample
 from egolane_pgm.runs import open_input
 from egolane_pgm.studies.em import fit_tables
@@ -41,7 +42,7 @@ Part = tuple[str, Callable[[], FloatArray], Mapping[str, Callable[[], FloatArray
 
 
 def workbench_rows(data: Data, rounds: int) -> Iterator[Row]:
-    for what, ours, others, frames in (drawing(data), paths(data), em(), search()):
+    for what, ours, others, frames in (drawing(data), paths(data), gradient(data), em(), search()):
         for name, run in others.items():
             there = find_spec(name.split(",")[0].lower())
             yield duel(what, ours, name, run if there else None, frames, max(3, rounds // 8))
@@ -88,6 +89,18 @@ def paths(data: Data) -> Part:
     draw = peers.dynamax_paths(compiled, evidence, PATHS)
     others = {"dynamax, jit of vmap": lambda: shares(compiled.node_value["Lane"][draw()])}
     return f"{PATHS} paths of the posterior (FFBS)", ours, others, PATHS * len(evidence)
+
+
+def gradient(data: Data) -> Part:
+    """The gradient of the log-loss of the lane by the logarithm of each entry of all tables."""
+    lane = np.where(data.truth["is_crossing"], -1, data.truth["true_lane"] - 1).astype(np.int64)
+
+    def ours() -> FloatArray:
+        found = log_loss_gradient(data.compiled, data.evidence, {"Lane": lane})
+        return np.concatenate([each.ravel() for each in found.gradient.values()])
+
+    others = {"dynamax, jit of grad": peers.dynamax_gradient(data.compiled, data.evidence, lane)}
+    return "gradient of the log-loss", ours, others, len(lane)
 
 
 def em() -> Part:

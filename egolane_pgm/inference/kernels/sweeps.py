@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
 from egolane_pgm.inference.kernels.filter import LEAST
@@ -9,109 +12,132 @@ from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
-# Of fast arithmetic only the fusing of a multiplication with an addition, as in the filter.
-@kernel(fastmath={"contract"}, error_model="numpy")
-def smooth_frames(
-    filtered: FloatArray,
-    likelihood: FloatArray,
-    transition: FloatArray,
-    index: IntArray,
-    begins: BoolArray,
-    smoothed: FloatArray,
-    moves: FloatArray,
-) -> None:
-    """Smooth T frames backwards, given all frames of their sequence.
+@lru_cache(maxsize=64)
+def smooth_kernel(n_states: int = 0) -> Any:
+    """The backward recursion, compiled for a number of joint states; 0 for any number."""
+    n_known = n_states
 
-    filtered (T, S): the joint belief after each frame. likelihood (T, S): of each frame's evidence,
-        any scale; one in frames whose evidence is ignored.
-    transition (U, S, S); index (T,): which of the U leads into a frame.
-    begins (T,): True where a sequence begins.
-    smoothed (T, S): written, the joint belief about each frame.
-    moves (U, S, S): the expected number of moves between states is added; empty to count none.
+    # Of fast arithmetic only the fusing of a multiplication with an addition, as in the filter.
+    @kernel(fastmath={"contract"}, error_model="numpy")
+    def smooth_frames(
+        filtered: FloatArray,
+        likelihood: FloatArray,
+        transition: FloatArray,
+        index: IntArray,
+        begins: BoolArray,
+        smoothed: FloatArray,
+        moves: FloatArray,
+    ) -> None:
+        """Smooth T frames backwards, given all frames of their sequence.
 
-    Later evidence that no state of the filter can lead to, in floating-point numbers, is ignored.
-    """
-    n_frames, n = filtered.shape
-    # One array, so that the compiler sees that its parts do not overlap. `backward` is the
-    # transposed transition, whose rows are added up as vectors; `ahead` is P(evidence after the
-    # frame | its state), divided by the largest one.
-    work = np.ones(n * n + 3 * n)
-    backward = work[: n * n]
-    ahead = work[n * n : n * n + n]
-    weight = work[n * n + n : n * n + 2 * n]
-    onward = work[n * n + 2 * n :]
-    held = -1
-    for t in range(n_frames - 1, -1, -1):
-        total = 0.0
-        for s in range(n):
-            onward[s] = filtered[t, s] * ahead[s]
-            total += onward[s]
-        for s in range(n):
-            smoothed[t, s] = onward[s] / total if total > 0.0 else filtered[t, s]
-        if begins[t] or t == 0:
-            ahead[:] = 1.0
-            continue
-        if index[t] != held:
-            held = index[t]
+        filtered (T, S): the joint belief after each frame. likelihood (T, S): of each frame's
+            evidence, any scale; one in frames whose evidence is ignored.
+        transition (U, S, S); index (T,): which of the U leads into a frame.
+        begins (T,): True where a sequence begins.
+        smoothed (T, S): written, the joint belief about each frame.
+        moves (U, S, S): the expected number of moves between states is added; empty to count none.
+
+        Later evidence that no state of the filter can lead to, in floating-point numbers, is
+        ignored.
+        """
+        n_frames = filtered.shape[0]
+        n = n_known if n_known else filtered.shape[1]
+        # One array, so that the compiler sees that its parts do not overlap. `backward` is the
+        # transposed transition, whose rows are added up as vectors; `ahead` is P(evidence after the
+        # frame | its state), divided by the largest one.
+        work = np.ones(n * n + 3 * n)
+        backward = work[: n * n]
+        ahead = work[n * n : n * n + n]
+        weight = work[n * n + n : n * n + 2 * n]
+        onward = work[n * n + 2 * n :]
+        held = -1
+        for t in range(n_frames - 1, -1, -1):
+            total = 0.0
+            for s in range(n):
+                onward[s] = filtered[t, s] * ahead[s]
+                total += onward[s]
+            for s in range(n):
+                smoothed[t, s] = onward[s] / total if total > 0.0 else filtered[t, s]
+            if begins[t] or t == 0:
+                ahead[:] = 1.0
+                continue
+            if index[t] != held:
+                held = index[t]
+                for r in range(n):
+                    for s in range(n):
+                        backward[s * n + r] = transition[held, r, s]
+            onward[:] = 0.0
+            for s in range(n):
+                weight[s] = likelihood[t, s] * ahead[s]
+                for r in range(n):
+                    onward[r] += backward[s * n + r] * weight[s]
+            largest = 0.0
+            total = 0.0
             for r in range(n):
-                for s in range(n):
-                    backward[s * n + r] = transition[held, r, s]
-        onward[:] = 0.0
-        for s in range(n):
-            weight[s] = likelihood[t, s] * ahead[s]
+                if filtered[t - 1, r] <= 0.0:
+                    onward[r] = 0.0
+                largest = max(largest, onward[r])
+                total += filtered[t - 1, r] * onward[r]
             for r in range(n):
-                onward[r] += backward[s * n + r] * weight[s]
-        largest = 0.0
-        total = 0.0
-        for r in range(n):
-            if filtered[t - 1, r] <= 0.0:
-                onward[r] = 0.0
-            largest = max(largest, onward[r])
-            total += filtered[t - 1, r] * onward[r]
-        for r in range(n):
-            ahead[r] = onward[r] / largest if largest > 0.0 else 1.0
-        if moves.shape[0] > 0 and total >= LEAST:
-            for r in range(n):
-                share = filtered[t - 1, r] / total
-                for s in range(n):
-                    moves[held, r, s] += transition[held, r, s] * weight[s] * share
+                ahead[r] = onward[r] / largest if largest > 0.0 else 1.0
+            if moves.shape[0] > 0 and total >= LEAST:
+                for r in range(n):
+                    share = filtered[t - 1, r] / total
+                    for s in range(n):
+                        moves[held, r, s] += transition[held, r, s] * weight[s] * share
+
+    return smooth_frames
 
 
-@kernel(fastmath={"contract"}, error_model="numpy")
-def count_values(
-    block: FloatArray, emission: FloatArray, states: FloatArray, counts: FloatArray
-) -> None:
-    """Count how often each joint state shows each value of a group.
+#: The backward recursion for any number of joint states.
+smooth_frames = smooth_kernel()
 
-    block (T, K): the group's evidence e. emission (K, S). states (T, S): counts of joint states.
-    counts (K, S): states * P(value | state) e(value) / P(e | state) is added.
-    """
-    n_values, n_states = emission.shape
-    # One array, so that the compiler sees that its parts do not overlap.
-    work = np.zeros(n_values * n_states + n_states)
-    shown = work[: n_values * n_states]
-    weight = work[n_values * n_states :]
-    for t in range(block.shape[0]):
-        largest = 0.0
-        for k in range(n_values):
-            largest = max(largest, block[t, k])
-        if largest <= 0.0:
-            continue
-        for s in range(n_states):
-            weight[s] = 0.0
-        for k in range(n_values):
-            share = block[t, k] / largest
-            for s in range(n_states):
-                weight[s] += share * emission[k, s]
-        for s in range(n_states):
-            weight[s] = states[t, s] / weight[s] if weight[s] >= LEAST else 0.0
-        for k in range(n_values):
-            share = block[t, k] / largest
-            for s in range(n_states):
-                shown[k * n_states + s] += share * weight[s]
-    for k in range(n_values):
-        for s in range(n_states):
-            counts[k, s] += emission[k, s] * shown[k * n_states + s]
+
+@lru_cache(maxsize=64)
+def count_kernel(n_values: int = 0, n_states: int = 0) -> Any:
+    """The counts of a group's values, compiled for its sizes; 0 for any size."""
+    known_values = n_values
+    known_states = n_states
+
+    @kernel(fastmath={"contract"}, error_model="numpy")
+    def count_values(
+        block: FloatArray, emission: FloatArray, states: FloatArray, counts: FloatArray
+    ) -> None:
+        """Count how often each joint state shows each value of a group.
+
+        block (T, K): the group's evidence e. emission (K, S). states (T, S): counts of joint
+            states.
+        counts (K, S): states * P(value | state) e(value) / P(e | state) is added.
+        """
+        n_value = known_values if known_values else emission.shape[0]
+        n_state = known_states if known_states else emission.shape[1]
+        # One array, so that the compiler sees that its parts do not overlap.
+        work = np.zeros(n_value * n_state + n_state)
+        shown = work[: n_value * n_state]
+        weight = work[n_value * n_state :]
+        for t in range(block.shape[0]):
+            largest = 0.0
+            for k in range(n_value):
+                largest = max(largest, block[t, k])
+            if largest <= 0.0:
+                continue
+            for s in range(n_state):
+                weight[s] = 0.0
+            for k in range(n_value):
+                share = block[t, k] / largest
+                for s in range(n_state):
+                    weight[s] += share * emission[k, s]
+            for s in range(n_state):
+                weight[s] = states[t, s] / weight[s] if weight[s] >= LEAST else 0.0
+            for k in range(n_value):
+                share = block[t, k] / largest
+                for s in range(n_state):
+                    shown[k * n_state + s] += share * weight[s]
+        for k in range(n_value):
+            for s in range(n_state):
+                counts[k, s] += emission[k, s] * shown[k * n_state + s]
+
+    return count_values
 
 
 @kernel()
