@@ -10,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.scoring.bootstrap import (
+    beyond_chance,
+    block_gains,
     bootstrap_interval,
     circular_blocks,
     resampled_sums,
@@ -169,3 +171,34 @@ def test_sides_of_different_lengths_are_refused() -> None:
     counts = mean_counts(np.ones(100))
     with pytest.raises(InputError, match="same frames on both sides, got 100 and 99"):
         bootstrap_interval([counts], ratio, minus=[counts[:99]], block=10)
+
+
+# --- gains of the best of several candidates ------------------------------------------------------
+
+
+def test_the_gain_of_a_mean_is_made_of_the_differences_of_its_blocks() -> None:
+    """Two recordings of one drive share their blocks, and another drive has its own."""
+    rng = np.random.default_rng(0)
+    better, worse = ([mean_counts(rng.normal(size=n)) for n in (60, 60, 90)] for _ in range(2))
+    found = block_gains(better, worse, ratio, [0, 0, 1], block=30)
+    means = [(a - b)[:, 0].reshape(-1, 30).mean(axis=1) for a, b in zip(better, worse, strict=True)]
+    drives = [(means[0] + means[1]) / 3 * 5 / 2, means[2] / 3 * 5 / 3]
+    np.testing.assert_allclose(found, np.concatenate(drives))
+    gain = bootstrap_interval(better, ratio, minus=worse, block=30).estimate
+    assert found.mean() == pytest.approx(gain)
+
+
+def test_chance_rarely_passes_and_a_clear_gain_does() -> None:
+    """26 candidates without a gain, 12 blocks: one in twenty searches at most lets one pass."""
+    rng = np.random.default_rng(0)
+    passed = 0
+    for _ in range(200):
+        gains = rng.normal(size=(26, 12)) * rng.uniform(0.1, 2, (26, 1))
+        passed += beyond_chance(gains)[0].any()
+    # A clear loss with a large spread is no candidate.
+    gains[:2] = rng.normal([[3], [-30]], [[0.5], [9]], (2, 12))
+    passes, selected = beyond_chance(gains)
+    assert passes.tolist() == [True] + 25 * [False]
+    assert selected[0] > 0.9
+    assert not beyond_chance(gains[:, :4])[0].any()
+    assert passed <= 0.05 * 200 + 2 * math.sqrt(200 * 0.05 * 0.95)

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
+import egolane_pgm as ego
 from egolane_pgm.drives import Drive
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
+from egolane_pgm.scoring.confusion import log_loss_per_frame
 from egolane_pgm.studies.fits import (
     Fitted,
     apply_fit,
@@ -122,6 +124,28 @@ def test_a_lane_without_a_label_keeps_its_start() -> None:
     after = apply_fit(one.model, found).compiled.tables["Lane", 1].values
     np.testing.assert_allclose(after[3], before[3], atol=1e-9)
     assert np.abs(after[:3] - before[:3]).max() > 0.01
+
+
+def test_with_labels_the_filter_s_log_loss_is_minimised() -> None:
+    """Eight numbers of a graph with an input, two sequences; every fifth frame is labelled."""
+    made = run(simulated())
+    lines = made.lines["a"].to_pandas()
+    lines["Lines"] = lines.groupby("frame_id")["is_valid"].transform("sum")
+    truth = made.frames[["true_lane", "is_crossing"]][::5].reset_index()
+    graph = str(ROOT / "examples" / "lines_graph.py")
+    keys = {"fit.learns": "parameters", "fit.block": 1}
+    given: Any = {"graph": graph, "ground_truth": truth, "n_lanes": 4, "folds": 0}
+    losses = []
+    for changes in ({}, {"fit.objective": "log_evidence"}):
+        more = {**keys, **changes, "fit.untrusted_frames": [[400, 800]]}
+        study = ego.learn(lines, overrides=more, **given)
+        frames = study.in_sample.frames
+        frames = frames[(frames["true_lane"] > 0) & ~frames["is_crossing"] & frames["is_trusted"]]
+        belief = frames.filter(regex="^Lane_").to_numpy()
+        losses.append(log_loss_per_frame(belief, frames["true_lane"]).mean())
+        assert len(study.fitted) == 8
+    assert losses[0] < losses[1]
+    assert study.settings["objective"] == "log_evidence"
 
 
 def test_tables_of_several_drives_do_not_depend_on_their_order() -> None:
