@@ -58,6 +58,8 @@ from egolane_pgm.studies.objective import check_objective, drive_summands
 from egolane_pgm.studies.search import make_sampler, quiet, settings_of
 from egolane_pgm.studies.space import SearchSpace
 from egolane_pgm.studies.structures import (
+    NOT_REPEATED,
+    REPEATED,
     Edge,
     Structure,
     edges_of,
@@ -246,7 +248,11 @@ def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNo
                 raise InputError(f"{edge.child} has more than {MOST_PARENTS} parents")
             if not set(parents).isdisjoint(problem.model.compiled.inputs):
                 raise InputError(f"no table that an input selects is fitted, as of {edge.child}")
-        tables, bases = with_structure(problem.tables, structure, problem.seed)
+        tables, bases = with_structure(
+            problem.tables, structure, problem.seed,
+            new=set(problem.hidden).difference(problem.model.compiled.hidden),
+            rho=NOT_REPEATED if problem.objective == "log_loss" else REPEATED,
+        )  # fmt: skip
         if (size := max(table.values.size for table in tables)) > MOST_NUMBERS:
             raise InputError(f"a table has {size} numbers, more than {MOST_NUMBERS}")
         start = problem.model.compiled
@@ -279,16 +285,33 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
 def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame:
     """Fit a structure to the training frames of a fold, and judge it.
 
+    A fit to labels may be worse than none, and an edge then seems to help that only mends the fit:
+    the graph to start from is judged with the tables that it declares if these score better.
+
     - task: the edges of a structure, sorted, and the number of the fold.
 
     Returns the summands of the judge in each test frame of each recording, zeros if the frame is
     crossing or not trusted; for BIC its share of each frame and 1, as of a mean, all recordings
-    one after the other. In `attrs` the free
-    parameters, the log evidence of all frames, and BIC: log evidence less half the logarithm of the
-    number of frames for each free parameter.
+    one after the other. In `attrs` the free parameters, the log evidence of all frames, and BIC:
+    log evidence less half the logarithm of the number of frames for each free parameter.
     """
+    structure = frozenset(task[0])
     fold = problem.folds[task[1]]
-    compiled, numbers = fitted(problem, frozenset(task[0]), fold)
+    compiled, numbers = fitted(problem, structure, fold)
+    found = _judgement(problem, compiled, numbers, fold)
+    if structure or problem.objective != "log_loss" or not any(map(len, fold.test)):
+        return found
+    declared = _judgement(problem, made(problem, structure)[0], numbers, fold)
+    score = SCORES[problem.judge]
+    after, before = (
+        float(score.statistic(each.drop(columns="recording").sum().to_numpy()))
+        for each in (found, declared)
+    )
+    return declared if (before > after) == score.is_maximised else found
+
+
+def _judgement(problem: Problem, compiled: Compiled, numbers: int, fold: Fold) -> pd.DataFrame:
+    """The judgement of a network, see `judged`. numbers: of its free parameters."""
     beliefs = [filter_beliefs(compiled, each) for each in problem.evidence]
     # The log evidence of EM includes the known lanes.
     log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)

@@ -92,11 +92,7 @@ class _Rows:
             rho = x[-1]
             full = repetition(rows, rho)
             by_entry = np.divide(gradient, full, out=np.zeros_like(full), where=full > 0)
-            share = np.eye(rows.shape[-1]) - rows[..., None, :]
-            by_prior = (1 - NOT_REPEATED) / (1 - rho) - NOT_REPEATED / rho
-            slope[-1] = (by_entry * share).sum() + self.strength * by_prior
-            cost -= self.strength * NOT_REPEATED * np.log(rho / NOT_REPEATED)
-            cost -= self.strength * (1 - NOT_REPEATED) * np.log((1 - rho) / (1 - NOT_REPEATED))
+            slope[-1] = (by_entry * (np.eye(rows.shape[-1]) - rows[..., None, :])).sum()
             gradient = (1 - rho) * by_entry.sum(axis=-2) * rows
         by_logs = gradient - rows * gradient.sum(axis=-1, keepdims=True)
         slope[: rows.size] = (by_logs + self.strength * (rows - self.base)).ravel()
@@ -120,7 +116,7 @@ def fit_tables_to_known(
     - nodes, strength, start: as in `em.fit_tables`; the prior of the tables is the same.
     - block: number of frames that weigh as much as one.
     - bases: tables in the compact form (`structures.repetition`), without the repetition, whose
-      share has a prior of the weight of one row.
+      share has a flat prior.
     - iterations: largest number of steps of L-BFGS.
     """
     declared = counted_tables(compiled)

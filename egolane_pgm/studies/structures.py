@@ -1,7 +1,7 @@
 """Structures of a graph: edges that are added to its tables or taken away.
 
-A new parent repeats the rows of a table, so that the network hardly changes before it is fitted;
-small random factors let a new hidden node differ from the start. Without a parent a table is the
+A new parent repeats the rows of a table, so that the network does not change before it is fitted;
+small random factors let the values of a new hidden node differ. Without a parent a table is the
 mean over it. A node that repeats itself has the compact form
 
     P(x | x before, parents) = rho [x = x before] + (1 - rho) P(x | parents)
@@ -23,8 +23,9 @@ from egolane_pgm.types import FloatArray, InputError
 #: Random factors of the rows of a new edge are between 1 and 1 plus this.
 _JITTER = 0.2
 
-#: The share of repetition before the fit.
+#: The share of repetition before a fit by gradient, and before EM, which hardly leaves a small one.
 NOT_REPEATED = 1e-3
+REPEATED = 0.5
 
 #: The probability of a new node to stay in its first state, before the fit.
 _STAYS = 0.9
@@ -91,11 +92,18 @@ def with_node(tables: Sequence[Table], name: str, size: int) -> list[Table]:
 
 
 def with_structure(
-    tables: Sequence[Table], structure: Structure, seed: int
+    tables: Sequence[Table],
+    structure: Structure,
+    seed: int,
+    *,
+    new: Collection[str] = (),
+    rho: float = NOT_REPEATED,
 ) -> tuple[list[Table], dict[SliceNode, FloatArray]]:
     """Return the tables with some edges changed, and the tables that repeat, without repetition.
 
     - structure: edges that the tables have are taken away, others are added.
+    - new: hidden nodes that the graph did not have, whose edges get random factors.
+    - rho: the share of repetition in the compact form.
     """
     there, rng = set(edges_of(tables)), np.random.default_rng(seed)
     found, bases = {table.node: table for table in tables}, {}
@@ -103,7 +111,9 @@ def with_structure(
     for edge in sorted(structure, key=lambda each: (each not in there, each.repeats, each)):
         shape = [found[name, 1].values.shape[-1] for name in (edge.parent, edge.child)]
         # The same random numbers for both slices.
-        factors = rng.uniform(1, 1 + _JITTER, shape)
+        factors = rng.uniform(
+            1, 1 + _JITTER * (not {edge.parent, edge.child}.isdisjoint(new)), shape
+        )
         for s in range(edge.lag, 2):
             node, parent = (edge.child, s), (edge.parent, s - edge.lag)
             parents, values = found[node].parents, found[node].values
@@ -114,7 +124,7 @@ def with_structure(
                 parents = (*parents, parent)
                 if edge.repeats:
                     bases[node] = values
-                    values = repetition(values, NOT_REPEATED)
+                    values = repetition(values, rho)
                 else:
                     values = values[..., None, :] * factors
                     values /= values.sum(axis=-1, keepdims=True)
@@ -135,7 +145,8 @@ def repetition_step(base: FloatArray, strength: float) -> Step:
     - base (..., n): the table without repetition at the start.
     - strength: of its prior, frames per row.
     """
-    now, rho = base, NOT_REPEATED
+    now = base
+    rho = REPEATED
 
     def step(counts: FloatArray) -> tuple[FloatArray, float]:
         nonlocal now, rho
