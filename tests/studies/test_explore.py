@@ -141,7 +141,7 @@ def test_only_frames_of_trusted_labels_outside_of_crossings_are_judged() -> None
 def test_any_score_is_a_judge(judge: str) -> None:
     """Its score is that of the held-out frames of all folds together."""
     folds = block_folds([DRIVE], 2)
-    problem = make_problem([DRIVE], folds, judge=judge)
+    problem = make_problem([fitting(DRIVE, objective="log_evidence")], folds, judge=judge)
     found = explore(problem, ["Lane -> WOR"])
     score, summands = SCORES[judge], []
     for fold in folds:
@@ -157,6 +157,25 @@ def test_any_score_is_a_judge(judge: str) -> None:
     assert found.judge.startswith("gain in held-out ")
 
 
+def test_the_start_is_judged_with_its_declared_tables_if_a_fit_makes_it_worse() -> None:
+    """Labels of no meaning in the training frames of the only fold."""
+    lane = np.where(np.arange(300) < 150, 5 - DRIVE.true_lane, DRIVE.true_lane)
+    drive = replace(fitting(DRIVE, strength=0.01, block=1), true_lane=lane)
+    fold = block_folds([drive], 2)[1]
+    problem = make_problem([drive], [fold])
+    worse, declared = (
+        ego.filter_beliefs(each, problem.evidence[0]).take(drive.rows)
+        for each in (fitted(problem, frozenset(), fold)[0], module.made(problem, frozenset())[0])
+    )
+    is_used = np.isin(np.arange(300), fold.test[0]) & ~drive.is_crossing[drive.rows]
+    [bad], [good] = (
+        drive_summands([drive], [each], [is_used], "log_loss") for each in (worse, declared)
+    )
+    assert good.sum(axis=0)[0] < bad.sum(axis=0)[0]
+    found = judged(problem, ((), 0))[["0", "1"]].to_numpy()
+    np.testing.assert_allclose(found, good[fold.test[0]])
+
+
 def test_a_gain_by_chance_ends_a_greedy_search() -> None:
     tried, (clear, other) = module.Tried(BIC, None), ADDED
     chance = np.random.default_rng(1).normal(0.01, 1, 3000)
@@ -170,7 +189,8 @@ def test_a_gain_by_chance_ends_a_greedy_search() -> None:
 
 @pytest.mark.parametrize("edge", [*ADDED, REPEATS, REMOVED], ids=str)
 def test_a_changed_table_says_as_much_as_before(edge: Edge) -> None:
-    tables, bases = with_structure(BIC.tables, frozenset({edge}), 0)
+    # A node that is new gets random factors.
+    tables, bases = with_structure(BIC.tables, frozenset({edge}), 0, new={edge.child})
     [now] = [table for table in tables if table.node == (edge.child, 1)]
     np.testing.assert_allclose(now.values.sum(axis=-1), 1)
     before = START.tables[edge.child, 1].values
