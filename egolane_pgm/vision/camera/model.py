@@ -298,6 +298,8 @@ def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, F
 
 
 def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if not camera.is_distorted:
+        return a, b
     if camera.lens == "equidistant":
         radius = np.hypot(a, b)
         angle = np.arctan(radius)

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from egolane_pgm.experiment import DETECTOR, Experiment
-from egolane_pgm.loading import existing
+from egolane_pgm.loading import camera_beside, existing
 from egolane_pgm.recordings.select import rate_of
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOTE, InputError, LineLog, problems_in
-from egolane_pgm.vision.camera.model import Camera, read_camera
+from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import (
     ReadyDetector,
@@ -53,13 +54,34 @@ def open_pictures(
             f"{source}: recording.camera: is missing; the detector needs the camera's YAML"
             " file (`egolane calibrate` makes one)"
         )
+    left = pictures_of(experiment, "path")
+    place = Path(recording.camera)
+    if recording.camera == camera_beside(recording.path) and not place.exists():
+        calibrate_drive(left, place)
     camera = read_camera(existing(experiment, "recording.camera"))
     check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
-    left = pictures_of(experiment, "path")
     right = pictures_of(experiment, "right") if recording.right is not None else None
     # To refuse early a camera that does not show the road.
     start(detector, camera)
     return detector, camera, left, right
+
+
+def calibrate_drive(source: PictureFiles, file: Path) -> None:
+    """Write the camera of a drive, calibrated from its own pictures. Raises InputError, with the
+    cure, if it cannot be calibrated or written."""
+    from egolane_pgm.vision.calibration.road_lines import ASSUMED_LENS, calibrate_road
+
+    with problems_in("recording.camera: is missing, and cannot be made"):
+        check_place(file)
+        camera, comment = calibrate_road(source)
+    write_camera(file, camera, f"Made from {source.path}.\n{ASSUMED_LENS}\n{comment}")
+    warnings.warn(
+        f"{NOTE}{file}: made from the pictures, for lanes of {camera.lane_width_m:g} m:"
+        f" {camera.height_m:.2f} m above the road, pitch {camera.pitch_deg:.2f} degrees; for other"
+        " lanes calibrate again (`egolane calibrate --lane-width`)",
+        UserWarning,
+        stacklevel=2,
+    )
 
 
 def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:

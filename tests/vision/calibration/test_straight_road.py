@@ -57,9 +57,7 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
 ) -> None:
     each = np.array([[k * spread[0], k * spread[1]] for k in (-1, 1)] * 8)
     if is_refused:
-        with pytest.raises(
-            InputError, match=r"stills: the lines of 16 frames meet at .* do not meet"
-        ):
+        with pytest.raises(InputError, match=r"the lines of 16 frames meet at .* do not meet"):
             view_of([[-1.0, 1.5]], each)
     else:
         found = view_of([[-1.0, 1.5]], each).spread_px
