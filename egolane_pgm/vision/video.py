@@ -187,7 +187,7 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
         is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
         share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
         height = round(share * (lower - upper))
-        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else INK
+        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else FRAME
         if height:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)

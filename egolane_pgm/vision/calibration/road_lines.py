@@ -32,6 +32,7 @@ from scipy.optimize import minimize_scalar
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import BoolArray, FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.model import (
+    LANE_WIDTHS,
     USUAL_HEIGHTS,
     Camera,
     distorted,
@@ -75,15 +76,12 @@ _SAME_GAP = 0.15
 _MOST_SPREAD = (0.15, 0.05)
 
 #: A wider scatter is doubted: of 15 choices of pictures of one drive, none had more.
-_DOUBTED_SPREAD = (0.05, 0.02)
+_DOUBTED_SPREAD = (0.05, 0.015)
 
 #: Fewer gaps that are lanes, or a smaller share of all gaps, are doubted: of 15 choices of pictures
 #: of one drive, those with fewer had heights off by 19 to 47 %, the others by at most 10 %.
 _LEAST_LANES = 4
 _LEAST_SHARE = 0.25
-
-#: The usual widths of lanes, metres.
-_USUAL_LANES = (2.5, 4.5)
 
 #: Standard deviation of the noise of a line's points, in units of a and b.
 _NOISE = 0.001
@@ -333,9 +331,9 @@ def doubts_of(view: RoadView) -> str:
             f" ({du:.0f}, {dv:.0f}) px, so the pitch may be wrong: give pictures of straight, even"
             " road"
         )
-    if not _USUAL_LANES[0] <= one <= _USUAL_LANES[1]:
+    if not LANE_WIDTHS[0] <= one <= LANE_WIDTHS[1]:
         return (
-            "doubtful: lanes are {:g} to {:g} m wide almost everywhere,".format(*_USUAL_LANES)
+            "doubtful: lanes are {:g} to {:g} m wide almost everywhere,".format(*LANE_WIDTHS)
             + f" not {one:g} m; the height follows from this width"
         )
     return ""
@@ -520,8 +518,8 @@ def meeting_of_stills(stills: Sequence[FloatArray]) -> tuple[FloatArray, FloatAr
     votes = np.sum([_votes(candidates, lines) for lines in stills], axis=0)
     if votes.max() < _AGREE * np.concatenate([_length(lines) for lines in stills]).sum():
         raise InputError(
-            "their straight edges do not meet in one point; choose stills of a straight"
-            " road, and leave out bonnet and mirror (ignore)"
+            "their straight edges do not meet in one point; choose pictures of a"
+            " straight road, and leave out bonnet and mirror (ignore)"
         )
     every = _winner(candidates, votes)
     each = np.full((len(stills), 2), np.nan)
@@ -682,7 +680,12 @@ def find_in_stills(camera: Camera, stills: Iterable[tuple[str, Callable[[], Imag
             check_size(image, camera.width, camera.height)
         straight.append(edges(camera, image, mask))
         greys.append(grey_of(image).round().astype(np.uint8))
-    ahead, each = meeting_of_stills(straight)
+    try:
+        ahead, each = meeting_of_stills(straight)
+    except InputError:
+        # If they do not meet upside down either, this raises the same error.
+        meeting_of_stills([-lines[:, [2, 3, 0, 1]] for lines in straight])
+        raise InputError("the pictures are upside down: turn them by 180 degrees first") from None
     fits = []
     lines = []
     looked = zip(greys, each, strict=True)

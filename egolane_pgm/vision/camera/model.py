@@ -51,8 +51,9 @@ RANGES = {
 #: The height of the lowest camera on usual cars and of the highest on lorries, metres.
 USUAL_HEIGHTS = (0.9, 3.2)
 
-#: The usual width of lanes, metres.
+#: The usual width of lanes, metres, and the widths of almost all.
 USUAL_LANE_M = 3.66
+LANE_WIDTHS = (2.5, 4.5)
 
 
 @dataclass(frozen=True)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.experiment import DETECTOR, Experiment
+from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment
 from egolane_pgm.loading import camera_beside, existing
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOTE, InputError, LineLog, problems_in
-from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
+from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera, read_camera, write_camera
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import (
     ReadyDetector,
@@ -27,6 +28,9 @@ from egolane_pgm.vision.detectors.runner import (
 
 #: Time stamps of a video that differ less from a constant frame rate, frames, are rounded.
 _STEADY = 0.5
+
+#: Time with another number of lanes for a doubt, seconds.
+_MINUTE_S = 60.0
 
 if TYPE_CHECKING:
     # OpenCV is imported only where there are pictures.
@@ -98,7 +102,25 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
             UserWarning,
             stacklevel=2,
         )
+    for note in lanes_seen(log, experiment):
+        warnings.warn(note, UserWarning, stacklevel=2)
     return log, left.frame_rate
+
+
+def lanes_seen(log: LineLog, experiment: Experiment) -> Iterator[str]:
+    """Doubt the number of lanes if, for a minute in all and for most of the time, another number
+    fits between the outermost continuous lines."""
+    camera = read_camera(str(experiment.recording.camera))
+    edge = np.where(log.is_valid & log.is_continuous, log.offset_m, np.nan)
+    width_m = np.fmax.reduce(edge, axis=1) - np.fmin.reduce(edge, axis=1)
+    lanes = np.round(width_m[width_m > 0] / (camera.lane_width_m or USUAL_LANE_M))
+    other = lanes[lanes != experiment.n_lanes]
+    other_s = len(other) * float(np.ptp(log.time_s)) / len(log)
+    if other_s >= _MINUTE_S and len(other) > len(lanes) / 2 and experiment.n_lanes != FROM_MAP:
+        yield (
+            f"{log.source}: doubtful: n_lanes is {experiment.n_lanes}, but between two continuous"
+            f" lines {np.median(other):.0f} lanes were seen for {other_s:.0f} s"
+        )
 
 
 def detect_pictures(

@@ -280,6 +280,19 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
     )
 
 
+def gap_beyond(tracks: Tracks, lines: FrameLines) -> float:
+    """Return the distance, metres, negative on the left, of the nearest valid track beyond the
+    outermost line of a frame; 0 if there is none."""
+    offset = tracks.mean[tracks.is_valid, 0]
+    shown = lines.offset_m[lines.is_valid]
+    if not len(shown):
+        return 0.0
+    left = (offset[offset < shown[0]] - shown[0]).max(initial=-np.inf)
+    right = (offset[offset > shown[-1]] - shown[-1]).min(initial=np.inf)
+    nearest = left if -left < right else right
+    return float(nearest) if np.isfinite(nearest) else 0.0
+
+
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
     """Match each line with the found line that continues it: its index, (L,), or -1."""
     gap = (shape[None, :, :] - tracks.mean[:, None, :]) @ rule.at.T
