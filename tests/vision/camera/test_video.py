@@ -53,7 +53,6 @@ def test_an_avi_that_counts_one_picture_too_many_is_whole(
     video = write_video(tmp_path / "a.avi", pictures)
     content = bytearray(video.read_bytes())
     at = content.index(b"strh") + 40
-    assert struct.unpack_from("<I", content, at) == (N_FRAMES,)
     struct.pack_into("<I", content, at, N_FRAMES + more)
     video.write_bytes(content)
     ids, messages = read(video)
