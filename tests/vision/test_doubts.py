@@ -99,8 +99,7 @@ def test_a_network_that_sees_nothing_or_the_road_is_doubted_with_the_layouts_tha
     (said,) = detected("network", drive(21), network=str(path))
     assert f"doubtful: {message}" in said
     assert "layout lanes fits" in said
-    good = detected("network", drive(21), network=str(top_hat_file(480, 270)))
-    assert not good
+    assert not detected("network", drive(21), network=str(top_hat_file(480, 270)))
 
 
 def test_pairs_that_do_not_match_are_doubted() -> None:

@@ -37,6 +37,7 @@ from egolane_pgm.vision.camera.model import (
     Camera,
     distorted,
     image_to_road,
+    is_shown,
     level_rays,
     said_height,
     undistorted,
@@ -424,10 +425,7 @@ class Fan:
 
 def seen_mask(camera: Camera) -> BoolArray:
     """The pixels, (H, W), that may show road: all outside the camera's `ignore` rectangles."""
-    mask = np.ones((camera.height, camera.width), dtype=bool)
-    for left, top, right, bottom in camera.ignore:
-        mask[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = False
-    return mask
+    return is_shown(camera, np.arange(camera.width), np.arange(camera.height)[:, None])
 
 
 def edges(camera: Camera, image: Image, mask: BoolArray) -> FloatArray:

@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.tools.files import write_yaml
-from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
+from egolane_pgm.types import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    problems_in,
+    suggestion,
+)
 from egolane_pgm.vision.camera.lens import COEFFICIENTS, read_keys
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
@@ -218,6 +225,14 @@ def image_to_road(
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.where(ray[..., 2] < -1e-9, -camera.height_m / ray[..., 2], np.nan)
     return reach * ray[..., 0], camera.lateral_m + reach * ray[..., 1]
+
+
+def is_shown(camera: Camera, u: FloatArray | IntArray, v: FloatArray | IntArray) -> BoolArray:
+    """Whether pixels u, v, which broadcast, are outside the camera's `ignore` rectangles."""
+    shown = np.ones(np.broadcast_shapes(u.shape, v.shape), dtype=bool)
+    for left, top, right, bottom in camera.ignore:
+        shown &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
+    return shown
 
 
 def vanishing_point(camera: Camera) -> tuple[float, float]:

@@ -32,7 +32,7 @@ from egolane_pgm.recordings import FORMATS, PICTURES
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.topics import messages, topics_of
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.types import FloatArray, InputError, problems_in
+from egolane_pgm.types import InputError, problems_in
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.camera.writing import silent
@@ -67,8 +67,8 @@ class Source:
     - read: the reader of its pictures
     - n_frames: None if the video lacks it
     - frame_rate: Hz; None for picture files and if a video has no frame rate
-    - time_s (n_frames,): when each picture in a bag was taken, seconds; None for other sources
-    - stamps: the time stamp of each picture of a video that was read so far, seconds, by frame id
+    - stamps: the time stamp of each picture in a bag, and of each of a video that was read so far,
+      seconds, by frame id
     - seek: reads the pictures of a video near some positions: file and function for each image
     """
 
@@ -76,7 +76,6 @@ class Source:
     read: Reader
     n_frames: int | None
     frame_rate: float | None = None
-    time_s: FloatArray | None = None
     stamps: dict[int, float] = field(default_factory=dict)
     seek: Callable[[Iterable[int]], Iterator[tuple[str, Callable[[], Image]]]] | None = None
 
@@ -241,7 +240,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
         # Stamps that do not increase are ignored.
         return Source(str(place), read, len(time_s))
     rate = rate_of(np.arange(len(time_s)), time_s)
-    return Source(str(place), read, len(time_s), rate, time_s)
+    return Source(str(place), read, len(time_s), rate, dict(enumerate(time_s.tolist())))
 
 
 def image_topic(path: Path, topic: str | None) -> str:

@@ -82,7 +82,7 @@ def calibrate_drive(source: PictureFiles, file: Path) -> None:
     warnings.warn(
         f"{NOTE}{file}: made from the pictures, for lanes of {camera.lane_width_m:g} m:"
         f" {camera.height_m:.2f} m above the road, pitch {camera.pitch_deg:.2f} degrees; for other"
-        " lanes calibrate again (`egolane calibrate --lane-width`)",
+        " lanes calibrate again (`egolane calibrate`)",
         UserWarning,
         stacklevel=2,
     )
@@ -157,9 +157,8 @@ def detect_pictures(
             raise
         stopped = reason
     log = as_log(found, frame_rate, left.path)
-    if left.time_s is not None and (stamps or not is_given):
-        log = replace(log, time_s=left.time_s[log.frame_id])
-    if left.stamps and not is_given:
+    # Only a video is sought, and its stamps begin at 0.
+    if left.stamps and (not is_given or (stamps and left.seek is None)):
         time_s = np.array([left.stamps[k] for k in log.frame_id.tolist()])
         away = np.abs(time_s - log.time_s).max() * frame_rate
         if away > _STEADY and (np.diff(time_s) > 0).all():

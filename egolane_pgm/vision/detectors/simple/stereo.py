@@ -25,7 +25,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, problems_in
-from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, is_shown, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple.birdseye import VIEWS, BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
@@ -231,8 +231,7 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     with np.errstate(invalid="ignore"):
         is_used = (x < number(parameters, "x_max_m")) & (np.abs(y) <= number(parameters, "side_m"))
     is_used &= u >= flat + _SCALE * _EDGE_PX
-    for left, above, right, below in camera.ignore:
-        is_used &= ~((u >= left) & (u < right) & (v >= above) & (v < below))
+    is_used &= is_shown(camera, u, v)
     every = max(math.ceil(math.sqrt(is_used.sum() / _MOST_POINTS)), 1)
     grid = np.zeros_like(is_used)
     grid[::every, ::every] = True
