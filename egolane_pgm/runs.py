@@ -165,7 +165,8 @@ def run(
     - cluster: Dask cluster for the rows of a table.
 
     Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Writes
-    files only with `out`. Raises InputError if the arguments do not fit.
+    files only with `out`, and the camera of pictures that have none. Raises InputError if the
+    arguments do not fit.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})

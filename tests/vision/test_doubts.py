@@ -81,9 +81,8 @@ def test_a_calibration_is_doubted(tmp_path: Path, pictures: list[Image], message
 @pytest.mark.parametrize(("left", "is_doubted"), [(Paint(-5.2), True), (Paint(-3.3), False)])
 def test_a_line_a_lane_beyond_the_edge_is_doubted_once(left: Paint, is_doubted: bool) -> None:
     lines = (left, Paint(-1.7), Paint(1.8, 4.0, 12.0))
-    said = [text for text in detected("ml", drive(80, lines)) if "beyond_edge" in text]
+    said = [text for text in detected("ml", drive(80, lines)) if "a lane beyond" in text]
     assert len(said) == is_doubted
-    assert all("a line was 3.5 m left of the continuous one" in text for text in said)
 
 
 @pytest.mark.parametrize(

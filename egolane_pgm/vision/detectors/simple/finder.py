@@ -29,7 +29,7 @@ from egolane_pgm.vision.detectors.simple.tracking import (
     Tracks,
     advance,
     expected,
-    gap_beyond,
+    gaps_beyond,
     lines_of,
     no_tracks,
     rules,
@@ -60,15 +60,15 @@ def start(camera: Camera, parameters: Parameters, **given: Any) -> Step:
         nonlocal tracks, n_beyond
         tracks = follow(tracks, picture)
         lines = lines_of(tracks, rule)
-        gap = gap_beyond(tracks, lines)
-        n_beyond += LANE_WIDTHS[0] <= abs(gap) <= LANE_WIDTHS[1]
+        gaps = gaps_beyond(tracks, lines)
+        n_beyond += bool(((gaps > LANE_WIDTHS[0]) & (gaps < LANE_WIDTHS[1])).any())
         if n_beyond == _BEYOND_FRAMES:
             n_beyond += 1
             warnings.warn(
-                f"frame {picture.frame_id}: doubtful: in {_BEYOND_FRAMES} frames a line was"
-                f" {abs(gap):.1f} m {'left' if gap < 0 else 'right'} of the continuous one that is"
-                " taken for the edge of the road; if a lane lies between (another lane, or the"
-                " other direction of a two-way road), set beyond_edge to keep",
+                f"frame {picture.frame_id}: doubtful: in {_BEYOND_FRAMES} frames a line was a"
+                " lane beyond the continuous one that is taken for the edge of the road; if a lane"
+                " lies between (another lane, or the other direction of a two-way road), set"
+                " beyond_edge to keep",
                 UserWarning,
                 stacklevel=2,
             )

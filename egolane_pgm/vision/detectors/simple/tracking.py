@@ -280,17 +280,12 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
     )
 
 
-def gap_beyond(tracks: Tracks, lines: FrameLines) -> float:
-    """Return the distance, metres, negative on the left, of the nearest valid track beyond the
-    outermost line of a frame; 0 if there is none."""
+def gaps_beyond(tracks: Tracks, lines: FrameLines) -> FloatArray:
+    """Return the distances, metres, of valid tracks from the outermost valid line of a frame on
+    either side; negative for tracks between the two."""
     offset = tracks.mean[tracks.is_valid, 0]
     shown = lines.offset_m[lines.is_valid]
-    if not len(shown):
-        return 0.0
-    left = (offset[offset < shown[0]] - shown[0]).max(initial=-np.inf)
-    right = (offset[offset > shown[-1]] - shown[-1]).min(initial=np.inf)
-    nearest = left if -left < right else right
-    return float(nearest) if np.isfinite(nearest) else 0.0
+    return np.concatenate([shown[:1] - offset, offset - shown[-1:]])
 
 
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
