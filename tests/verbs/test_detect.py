@@ -143,10 +143,10 @@ def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
 def test_a_video_without_a_camera_calibrates_itself_once(place: Path, tmp_path: Path) -> None:
     video = Path(shutil.copy(place / "drive.avi", tmp_path))
     words = ("run", video, "--n-lanes", 2, "--no-figures", "--out", tmp_path / "out")
-    assert (
-        "drive.avi.camera.yaml: made from the pictures, for lanes of 3.5 m" in done(*words).stderr
-    )
     beside = tmp_path / "drive.avi.camera.yaml"
+    assert "ok" in done(*words, "--dry-run").stdout
+    assert not beside.exists()
+    assert f"{beside}: made from the pictures, for lanes of 3.5 m" in done(*words).stderr
     camera = read_camera(beside)
     assert camera.height_m == pytest.approx(CAMERA.height_m, rel=0.04)
     assert camera.pitch_deg == pytest.approx(CAMERA.pitch_deg, abs=0.5)

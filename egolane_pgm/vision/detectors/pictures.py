@@ -38,9 +38,11 @@ if TYPE_CHECKING:
 
 
 def open_pictures(
-    experiment: Experiment,
+    experiment: Experiment, *, calibrate: bool = True
 ) -> tuple[ReadyDetector, Camera, PictureFiles, PictureFiles | None]:
     """Return the detector of an experiment, its camera and its pictures (left, and right or None).
+
+    - calibrate: whether to make the camera's file beside the pictures if it is missing.
 
     Raises InputError, with the key, for anything that cannot be used.
     """
@@ -61,6 +63,11 @@ def open_pictures(
     left = pictures_of(experiment, "path")
     place = Path(recording.camera)
     if recording.camera == camera_beside(recording.path) and not place.exists():
+        if not calibrate:
+            from egolane_pgm.vision.calibration.road_lines import assumed_camera
+            from egolane_pgm.vision.camera.pictures import first_size
+
+            return detector, assumed_camera(*first_size(left)), left, None
         calibrate_drive(left, place)
     camera = read_camera(existing(experiment, "recording.camera"))
     check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
