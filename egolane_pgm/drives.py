@@ -190,7 +190,7 @@ def check_sources(experiment: Experiment) -> None:
     if r.detector is not None:
         from egolane_pgm.vision.detectors.pictures import open_pictures
 
-        open_pictures(experiment)
+        open_pictures(experiment, calibrate=False)
     elif r.simulate is None:
         check_file(experiment)
     else:

@@ -19,6 +19,7 @@ from typing import Any
 
 from egolane_pgm.experiment import DETECTOR, Experiment, make_experiment, plain
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings import is_pictures
 from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import InputError, near_word
@@ -105,7 +106,7 @@ def load_experiment(
         # The model is usually a shipped one, whose file the user has not seen.
         source = f"{content['recording']['path']} (model {Path(source).stem})"
     content = merge(content, absolute(changes, Path.cwd()))
-    return make_experiment(content, source)
+    return make_experiment(with_camera(content), source)
 
 
 def _read(experiment: ExperimentLike) -> tuple[dict[str, Any], str]:
@@ -138,6 +139,25 @@ def _on_lines(content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any]
     if DETECTOR in (kept.get("parameters") or {}):
         kept["parameters"] = {k: v for k, v in kept["parameters"].items() if k != DETECTOR}
     return {**kept, "name": name, "recording": {"path": path}}
+
+
+def with_camera(content: dict[str, Any]) -> dict[str, Any]:
+    """The keys of an experiment; a video or pictures without detector get the detector ml, and
+    without camera the file `camera_beside` them, which the first run calibrates."""
+    given: Any = content.get("recording")
+    if not isinstance(given, Mapping) or "format" in given:
+        return content
+    path = given.get("path")
+    if not isinstance(path, str) or not is_pictures(path):
+        return content
+    recording = {"detector": "ml", "camera": camera_beside(path), **given}
+    return {**content, "recording": recording}
+
+
+def camera_beside(path: str) -> str:
+    """The YAML of the camera that took a video or the pictures in a folder, by their path."""
+    place = Path(path)
+    return f"{place if place.exists() else place.parent}.camera.yaml"
 
 
 def on_other_lines(tuned_on: Any) -> Any:

@@ -26,12 +26,14 @@ from egolane_pgm.loading import (
     ExperimentLike,
     Overrides,
     absolute,
+    camera_beside,
     load_experiment,
     merge,
     nest,
     on_other_lines,
     parse_overrides,
     safe_name,
+    with_camera,
 )
 from egolane_pgm.model import compile_model, with_graph
 from egolane_pgm.recordings.columns import column_keys, plain
@@ -130,8 +132,8 @@ def run(
 ) -> Result | pd.DataFrame | str:
     """Infer the lane in each frame of a recording, score it, and list lane changes.
 
-    EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines,
-    which is run with the model of an experiment.
+    EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines, a
+    video or a folder of pictures, which is run with the model of an experiment.
 
     With a table the experiment is run once per row of overrides: a result directory for each, and
     summary.parquet. Rows that have a result already are skipped; a row that fails does not stop the
@@ -144,8 +146,9 @@ def run(
     - ground_truth: annotated lanes, a file or a DataFrame with frame_id, lane and crossing; "none"
       to run without.
     - n_lanes: number of lanes of the road.
-    - camera: camera of pictures, or of lines in pixels.
-    - detector: line detector for a video or pictures.
+    - camera: camera of pictures, or of lines in pixels; by default PICTURES.camera.yaml, made from
+      the pictures if it does not exist.
+    - detector: line detector for a video or pictures, by default ml.
     - columns: names and units of a table's columns or of fields, e.g.
       offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
     - graph: another graph: a name or a file; in Python also a module, a pgmpy network, or a result
@@ -162,7 +165,8 @@ def run(
     - cluster: Dask cluster for the rows of a table.
 
     Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Writes
-    files only with `out`. Raises InputError if the arguments do not fit.
+    files only with `out`, and the camera of pictures that have none. Raises InputError if the
+    arguments do not fit.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
@@ -386,8 +390,9 @@ def table_inputs(
         name = f"{base.name}_{number}"
         if "path" in changes.get("recording", {}):
             content = {k: v for k, v in content.items() if k not in ("ground_truth", "road")}
+            old = camera_beside(str(base.recording.path))
             kept = {k: v for k, v in content["recording"].items() if k not in DRIVE_KEYS}
-            content["recording"] = kept
+            content["recording"] = {k: v for k, v in kept.items() if v != old}
             path = Path(changes["recording"]["path"])
             name = f"{path.parent.name}_{path.stem}"
             if isinstance(content.get("tuned_on"), str) and str(path) != base.recording.path:
@@ -395,7 +400,7 @@ def table_inputs(
         name = safe_name(str(row.get("name", name)))
         if name in found:
             raise InputError(f"{where}: another row has the name {name}; add a column `name`")
-        content = {**merge(content, changes), "name": name}
+        content = with_camera({**merge(content, changes), "name": name})
         found[name] = Input(make_experiment(content, where), tags=tags)
     return list(found.values())
 

@@ -6,14 +6,18 @@ from itertools import tee
 from pathlib import Path
 
 from egolane_pgm.export import chosen_frames
+from egolane_pgm.inference.events import CONFIDENT
 from egolane_pgm.result import Result, lanes_of
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError
+from egolane_pgm.types import UNASSIGNED, InputError
 from egolane_pgm.vision.camera.pictures import camera_of_pictures, read_pictures
 from egolane_pgm.vision.camera.writing import video_writer
 from egolane_pgm.vision.detectors.pictures import open_pictures
 from egolane_pgm.vision.detectors.runner import detect
 from egolane_pgm.vision.video import Scene, draw_frame, layout
+
+#: The column of the probability that the sensor works.
+SENSOR_OK = "SensorState_OK"
 
 
 def write_video(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
@@ -40,7 +44,10 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
     posterior = lanes_of(shown)
     places = layout(camera)
     time_s = shown["time_s"].tolist()
-    answer = shown["assigned_lane"].tolist()
+    # A probable lane is not yet an answer that one should see.
+    is_sure = posterior.max(axis=1) >= CONFIDENT
+    answer = shown["assigned_lane"].where(is_sure, UNASSIGNED).tolist()
+    works = shown[SENSOR_OK].tolist() if SENSOR_OK in shown else [None] * len(shown)
     truth = shown["true_lane"].fillna(0).tolist()
     with (
         bar(desc=detector.name, unit="frame", total=len(shown)) as progress,
@@ -53,6 +60,6 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
                 continue
             row = int(shown.index.get_loc(picture.frame_id))
             belief = posterior[row], answer[row], truth[row] or None
-            scene = Scene(picture.frame_id, time_s[row], lines, *belief)
+            scene = Scene(picture.frame_id, time_s[row], lines, *belief, works[row])
             write(draw_frame(places, picture.image, scene))
             progress.update()

@@ -23,6 +23,10 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
 }
 
+#: Extensions of picture files and of videos.
+PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".ts", ".mts", ".mpg", ".mpeg", ".wmv")
+
 #: Extensions of the files in a folder that is a bag.
 _IN_BAGS = (".mcap", ".db3", ".zstd", ".bag")
 
@@ -84,6 +88,14 @@ def files_of(folder: Path) -> list[Path]:
     """The files of a folder that is a recording: all files of a bag, else all files."""
     files = sorted(path for path in folder.iterdir() if path.is_file())
     return [path for path in files if path.suffix in _IN_BAGS] or files
+
+
+def is_pictures(path: str | Path) -> bool:
+    """Whether a path is a video, a picture, a folder of pictures or a pattern of pictures."""
+    path = Path(path)
+    if path.is_dir():
+        return any(file.suffix.lower() in PICTURES for file in files_of(path))
+    return path.suffix.lower() in (*PICTURES, *VIDEOS)
 
 
 def reader_of(name: str) -> Any:

@@ -9,31 +9,28 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from egolane_pgm.tools.files import check_place
-from egolane_pgm.tools.options import Option, Target
+from egolane_pgm.tools.options import Option, StrPath, Target
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.chessboard import calibrate_lens, describe_lens
 from egolane_pgm.vision.calibration.road_lines import (
+    ASSUMED_LANE_M,
     ASSUMED_LENS,
     assumed_camera,
-    describe_view,
-    doubts_of,
-    find_in_stills,
-    view_from,
+    calibrate_road,
 )
 from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
-from egolane_pgm.vision.camera.pictures import picture_files, read_image, size_of
+from egolane_pgm.vision.camera.pictures import first_size, open_source, picture_files
 
 EXAMPLES = (
-    "egolane calibrate --stills 'road/*.jpg' --lane-width 3.7 -o cam.yaml",
-    "egolane calibrate --chessboards 'boards/*.jpg' --stills 'road/*.jpg' --lane-width 3.7"
-    " -o cam.yaml",
+    "egolane calibrate drive.mp4 -o cam.yaml",
+    "egolane calibrate 'road/*.jpg' --chessboards 'boards/*.jpg' --lane-width 3.7 -o cam.yaml",
 )
 
 
 def calibrate(
+    pictures: StrPath,
     *,
-    stills: Annotated[str, Option("GLOB")],
-    lane_width: Annotated[float, Option("M")],
+    lane_width: Annotated[float, Option("M")] = ASSUMED_LANE_M,
     chessboards: Annotated[str | None, Option("GLOB")] = None,
     board: Annotated[tuple[int, int], Option("COLUMNS ROWS")] = (9, 6),
     roll: Annotated[float, Option("DEGREES")] = 0.0,
@@ -42,8 +39,10 @@ def calibrate(
 ) -> Camera:
     """Calibrate a camera: lens from chessboards, angles and height from the lines of a road.
 
-    - stills: pictures of a straight road with lines.
-    - lane_width: width of the lanes of that road, metres.
+    PICTURES of the road are a video, a folder of pictures, a 'glob*.jpg' or a bag; up to 30 of
+    them, evenly spread, are used.
+
+    - lane_width: width of the lanes of that road, metres; the height is proportional to it.
     - chessboards: pictures of a chessboard, for the lens; or a camera file of ROS, OpenCV or
       Kalibr.
     - board: inner corners of the chessboard.
@@ -59,8 +58,8 @@ def calibrate(
     if out is not None:
         check_place(Path(out))
 
-    pictures = picture_files(stills)
-    size = size_of(read_image(pictures[0]))
+    source = open_source(str(pictures))
+    size = first_size(source)
     camera = assumed_camera(*size)
     comment = [ASSUMED_LENS]
     if chessboards and Path(chessboards).suffix.lower() in (".yaml", ".yml", ".xml"):
@@ -82,16 +81,11 @@ def calibrate(
             text = " ".join(map(str, mask))
             raise InputError(f"ignore: {text} is not in a picture of {size[0]}x{size[1]}")
     camera = replace(camera, roll_deg=roll, ignore=tuple(ignore), lane_width_m=lane_width)
-    found = find_in_stills(camera, pictures)
-    view = view_from(camera, found.ahead, found.each, found.fits)
-    n_lines = sum(len(lines) for lines in found.lines)
-    comment.append(describe_view(view, f"{n_lines} lines found in {len(found.lines)} stills"))
-    if doubt := doubts_of(view):
-        comment.append(doubt)
-        warnings.warn(f"{stills}: {doubt}", UserWarning, stacklevel=2)
+    camera, about = calibrate_road(source, camera)
     if out is not None:
-        write_camera(Path(out), view.camera, "\n".join(["Made by `egolane calibrate`.", *comment]))
-    return view.camera
+        made = ["Made by `egolane calibrate`.", *comment, about]
+        write_camera(Path(out), camera, "\n".join(made))
+    return camera
 
 
 def summary(done: Camera, given: Mapping[str, Any]) -> str:

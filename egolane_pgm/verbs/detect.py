@@ -17,7 +17,7 @@ from egolane_pgm.types import InputError, LineLog
 from egolane_pgm.vision.detectors.pictures import detect_pictures
 
 EXAMPLES = (
-    "egolane detect drive.mp4 --camera cam.yaml --detector ml -o lines.parquet",
+    "egolane detect drive.mp4 -o lines.parquet",
     "egolane detect 'left/*.jpg' --set recording.right='right/*.jpg' --camera cam.yaml"
     " --detector sl -o lines.csv",
 )
@@ -29,7 +29,7 @@ TARGETS = (".parquet", ".csv")
 def detect(
     pictures: StrPath,
     *,
-    camera: Annotated[StrPath, Option("FILE")],
+    camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Annotated[StrPath, Option("NAME|FILE.py")] = "ml",
     overrides: Overrides = (),
     out: Target = None,
@@ -39,7 +39,7 @@ def detect(
     Lines found before Ctrl-C, or before a picture that cannot be read, are kept. Then
     `egolane run FILE --n-lanes N` infers the lane.
 
-    - camera: YAML file of the camera.
+    - camera: YAML file of the camera; by default PICTURES.camera.yaml, made if it does not exist.
     - detector: name of a detector (`egolane show` lists them), or a file.
     - overrides: a parameter of the detector, e.g. lri_frames=5, or a key of the recording: right,
       topic, frames, frame_rate, e.g. recording.frame_rate=25.
@@ -60,7 +60,7 @@ def detect(
         check_place(Path(out))
     keys = parse_overrides(overrides)
     recording = keys.pop("recording", {})
-    recording |= {"path": pictures, "camera": camera, "detector": detector}
+    recording |= {"path": pictures, "detector": detector} | ({"camera": camera} if camera else {})
     # The number of lanes has no effect on lines.
     content = {"name": "detect", "n_lanes": 1, "recording": recording}
     experiment = load_experiment({**content, "parameters": {DETECTOR: keys}})

@@ -13,6 +13,7 @@ from egolane_pgm.runs import run as run
 
 EXAMPLES = (
     "egolane run lines.csv --n-lanes 4",
+    "egolane run drive.mp4 --n-lanes 3",
     "egolane run experiments/quickstart.yaml --set parameters.sigma1=0.3",
     "egolane run drive/lines.csv --experiment experiments/zero_label.yaml --n-lanes 4 --out mine",
     "egolane run experiments/quickstart.yaml --table runs.csv --out results/runs",

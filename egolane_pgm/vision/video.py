@@ -59,8 +59,9 @@ class Scene:
 
     - lines: the output of a detector
     - belief: (n,) over the lanes
-    - assigned: the lane that the model answers, 0 for Unassigned
+    - assigned: the lane that the model answers, 0 if it is not sure
     - truth: the annotated lane; None if unknown
+    - sensor_ok: the probability that the sensor works; None for a graph without SensorState
     """
 
     frame_id: int
@@ -69,6 +70,7 @@ class Scene:
     belief: FloatArray
     assigned: int
     truth: int | None = None
+    sensor_ok: float | None = None
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thicknes
 
 def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
     """The left, top, right and bottom of the boxes of the bars: lanes from left to right, then
-    Unassigned."""
+    "not sure"."""
     top = places.camera.height + 26
     bottom = places.size[1] - 42
     edges = np.linspace(12, places.camera.width - 12, n_lanes + 2)
@@ -185,11 +187,11 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
         is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
         share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
         height = round(share * (lower - upper))
-        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else INK
+        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else FRAME
         if height:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
-        name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
+        name = f"lane {k + 1}" if k < n_lanes else "not sure"
         middle = (left + right) // 2
         room = right - left
         _write(canvas, name, (middle, lower + 15), room, INK, centred=True)
@@ -206,14 +208,16 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
 def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
     left = places.camera.width + 10
     top = places.camera.height
-    answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
+    is_sure = scene.assigned != UNASSIGNED
     rows: list[tuple[str, Colour | None]] = [
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
-        (f"answer: {answer}", None),
+        (f"answer: lane {scene.assigned}" if is_sure else "no lane is sure", None),
         ("valid, continuous", CONTINUOUS),
         ("valid, dashed or unknown", DASHED),
         ("not valid", NOT_VALID),
     ]
+    if scene.sensor_ok is not None:
+        rows.insert(2, (f"P(sensor OK): {100 * scene.sensor_ok:.0f} %", None))
     for k, (text, colour) in enumerate(rows):
         start = left
         baseline = top + 22 + k * ((places.size[1] - top - 16) // len(rows))

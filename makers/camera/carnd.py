@@ -74,8 +74,8 @@ def camera_of(folder: Path) -> Camera:
     with TemporaryDirectory() as place:
         return calibrate(
             Path(place) / "camera.yaml",
+            folder / "test_images" / "straight_lines*.jpg",
             *("--chessboards", folder / "camera_cal" / "*.jpg"),
-            *("--stills", folder / "test_images" / "straight_lines*.jpg"),
             *("--lane-width", LANE_WIDTH_M, "--ignore", 0, BONNET, 1280, 720),
         )
 

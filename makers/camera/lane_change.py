@@ -77,7 +77,7 @@ def camera_of(folder: Path) -> Camera:
     with TemporaryDirectory() as place:
         return calibrate(
             Path(place) / "camera.yaml",
-            *("--stills", folder / "*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
+            *(folder / "*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
             *masks,
         )
 

@@ -16,7 +16,7 @@ from tests.kits.drives import done, refused
 def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_path):
     out = tmp_path / "a" / "cam.yaml"
     output = done(
-        "calibrate", "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
+        "calibrate", stills, "--chessboards", boards / "*.png", "--lane-width", 3.7,
         "--ignore", 0, 700, 1280, 720, "-o", out,
     ).output  # fmt: skip
     camera = read_camera(out)
@@ -32,12 +32,8 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--lane-width", "3.7"], "Missing option '--stills'"),
-        (["--lane-width", "3.7", "--stills", "nowhere/*.jpg"], "nowhere/*.jpg: has no pictures"),
-        (
-            ["--lane-width", "3.7", "--stills", "x", "--ignore", "1", "2"],
-            "'--ignore': '-o'",
-        ),
+        (["nowhere/*.jpg"], "nowhere/*.jpg: has no pictures"),
+        (["x", "--ignore", "1", "2"], "'--ignore': '-o'"),
     ],
 )
 def test_bad_options_are_one_line(tmp_path, arguments, message):
@@ -47,7 +43,7 @@ def test_bad_options_are_one_line(tmp_path, arguments, message):
 
 def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640, 3), np.uint8))
-    words = ("--chessboards", boards, "--stills", tmp_path / "a.png", "--lane-width", 3.7)
+    words = (tmp_path / "a.png", "--chessboards", boards)
     output = refused("calibrate", *words, "-o", tmp_path / "c.yaml")
     assert "the chessboards are 1280x720, the road's pictures 640x480" in output
 
@@ -64,7 +60,7 @@ def test_what_does_not_fit_the_pictures_or_a_road_is_refused(
     stills: Path, tmp_path: Path, given: str, message: str
 ) -> None:
     target = tmp_path / "cam.yaml"
-    words = ("--lane-width", 3.7, "--stills", stills, *given.split(), "-o", target)
+    words = (stills, *given.split(), "-o", target)
     assert refused("calibrate", *words) == message
     assert not target.exists()
 
@@ -77,7 +73,7 @@ def test_the_lens_may_come_from_a_camera_file(stills: Path, tmp_path: Path) -> N
         f"camera_matrix: {{rows: 3, cols: 3, data: {matrix}}}\ndistortion_model: plumb_bob\n"
         f"distortion_coefficients: {{rows: 1, cols: 5, data: {list(TRUE.distortion)}}}\n"
     )
-    words = ("--chessboards", lens, "--stills", stills, "--lane-width", 3.7)
+    words = (stills, "--chessboards", lens, "--lane-width", 3.7)
     done("calibrate", *words, "-o", tmp_path / "cam.yaml")
     camera = read_camera(tmp_path / "cam.yaml")
     assert camera.height_m == pytest.approx(TRUE.height_m, rel=0.03)

@@ -4,6 +4,7 @@ a video."""
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.result import load_result
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.camera.model import write_camera
+from egolane_pgm.vision.camera.model import read_camera, write_camera
 from tests.kits.drives import command, done, refused, rewritten, run
 from tests.kits.synthetic_road import (
     CAMERA,
@@ -139,15 +140,26 @@ def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
     assert first.frames["time_s"].iloc[-1] == pytest.approx((N_FRAMES - 1) / 12.5)
 
 
-def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ["--experiment", "quickstart", "--camera", place / "cam.yaml"]
-    words += ["--detector", "mc", "--n-lanes", 2, "--no-figures", "--out", out]
-    output = done("run", place / "drive.avi", *words).stdout
-    assert "16 frames, 2 lanes" in output
-    assert "at the end: lane " in output
-    kept = load_result(out).experiment.recording
-    assert (kept.detector, kept.frame_rate) == ("mc", 12.5)
+def test_a_video_without_a_camera_calibrates_itself_once(place: Path, tmp_path: Path) -> None:
+    video = Path(shutil.copy(place / "drive.avi", tmp_path))
+    words = ("run", video, "--n-lanes", 2, "--no-figures", "--out", tmp_path / "out")
+    beside = tmp_path / "drive.avi.camera.yaml"
+    assert "ok" in done(*words, "--dry-run").stdout
+    assert not beside.exists()
+    assert f"{beside}: made from the pictures, for lanes of 3.5 m" in done(*words).stderr
+    camera = read_camera(beside)
+    assert camera.height_m == pytest.approx(CAMERA.height_m, rel=0.04)
+    assert camera.pitch_deg == pytest.approx(CAMERA.pitch_deg, abs=0.5)
+    kept = load_result(tmp_path / "out").experiment.recording
+    assert (kept.detector, kept.camera, kept.frame_rate) == ("ml", str(beside), 12.5)
+    again = done(*words, "--detector", "mc")
+    assert "made from" not in again.stderr
+    assert "16 frames, 2 lanes" in again.stdout
+    # Where the road does not show, and for a file that is not writable, the key is named.
+    black = write_video(tmp_path / "black.avi", [np.zeros((270, 480, 3), np.uint8)] * 3)
+    message = refused("detect", black, "-o", tmp_path / "l.csv")
+    assert "recording.camera: is missing, and cannot be made: " in message
+    assert "no straight edges that meet" in message
 
 
 def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> None:
@@ -161,16 +173,10 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
     rewritten(place / "run.yaml", tmp_path / "run.yaml", recording=recording)
     first = run(tmp_path / "run.yaml")
     assert first.frames.index.tolist() == [1, 2]
-    assert any(
-        "10 pictures per second are assumed (set recording.frame_rate" in note
-        for note in first.notes
-    )
     data = first.run["data"]
     assert [Path(e["path"]).name for e in data] == ["pictures", "cam.yaml", "my_detector.py"]
     cv2.imwrite(str(folder / "0.png"), images(2)[1])
-    given = run(tmp_path / "run.yaml", ["recording.frame_rate=25"])
-    assert not any("are assumed" in note for note in given.notes)
-    assert given.run["data"][0]["sha256"] != data[0]["sha256"]
+    assert run(tmp_path / "run.yaml").run["data"][0]["sha256"] != data[0]["sha256"]
 
 
 @pytest.mark.parametrize(
@@ -243,7 +249,8 @@ def test_a_camera_too_high_for_a_lorry_is_doubted_and_used(place: Path, tmp_path
 def test_pictures_without_a_rate_get_the_given_one(place: Path, tmp_path: Path) -> None:
     folder, target = write_pictures(tmp_path / "pictures", images(4)), tmp_path / "l.csv"
     words = ("detect", folder, "--camera", place / "cam.yaml", "-o", target)
-    assert "has no frame rate: 10 pictures per second are assumed" in done(*words).stderr
+    note = "10 pictures per second are assumed (set recording.frame_rate)"
+    assert note in done(*words).stderr
     assert read_lines(target).time_s == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert "are assumed" not in done(*words, "--set", "recording.frame_rate=25").stderr
     assert read_lines(target).time_s == pytest.approx([0.0, 0.04, 0.08, 0.12])

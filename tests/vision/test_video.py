@@ -93,7 +93,7 @@ def test_bars_show_the_belief_over_the_lanes_from_left_to_right() -> None:
 def test_unassigned_is_shown_and_no_lane_is_marked() -> None:
     image = drawn(scene([0.5, 0.5], 0))
     boxes = bar_boxes(layout(CAMERA), 2)
-    assert filled(image, boxes[2], video.INK) == 1
+    assert filled(image, boxes[2], video.FRAME) == 1
     for box in boxes[:2]:
         assert filled(image, box, video.OTHER) == pytest.approx(0.5, abs=0.05)
         assert filled(image, box, video.ASSIGNED) == 0

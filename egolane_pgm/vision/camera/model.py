@@ -15,7 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.tools.files import write_yaml
-from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
+from egolane_pgm.types import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    problems_in,
+    suggestion,
+)
 from egolane_pgm.vision.camera.lens import COEFFICIENTS, read_keys
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
@@ -51,8 +58,9 @@ RANGES = {
 #: The height of the lowest camera on usual cars and of the highest on lorries, metres.
 USUAL_HEIGHTS = (0.9, 3.2)
 
-#: The usual width of lanes, metres.
+#: The usual width of lanes, metres, and the widths of almost all.
 USUAL_LANE_M = 3.66
+LANE_WIDTHS = (2.5, 4.5)
 
 
 @dataclass(frozen=True)
@@ -219,6 +227,14 @@ def image_to_road(
     return reach * ray[..., 0], camera.lateral_m + reach * ray[..., 1]
 
 
+def is_shown(camera: Camera, u: FloatArray | IntArray, v: FloatArray | IntArray) -> BoolArray:
+    """Whether pixels u, v, which broadcast, are outside the camera's `ignore` rectangles."""
+    shown = np.ones(np.broadcast_shapes(u.shape, v.shape), dtype=bool)
+    for left, top, right, bottom in camera.ignore:
+        shown &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
+    return shown
+
+
 def vanishing_point(camera: Camera) -> tuple[float, float]:
     """The pixel of the undistorted picture where lines along the direction of travel meet."""
     right, down, forward = axes(camera)[:, 0]
@@ -298,6 +314,8 @@ def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, F
 
 
 def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if not camera.is_distorted:
+        return a, b
     if camera.lens == "equidistant":
         radius = np.hypot(a, b)
         angle = np.arctan(radius)

@@ -5,9 +5,9 @@ natural order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last nu
 that increases from file to file; if there is none, their positions, from 0. Only one picture is in
 memory at a time.
 
-OpenCV gives all pictures of a video in the size of the first one. It also skips pictures that
-cannot be decoded or were never recorded, without a warning: such a loss is noticed only by the
-number of pictures in the file's header.
+OpenCV gives all pictures of a video in the size of the first one. It also leaves out pictures that
+cannot be decoded or were never recorded: such a loss is noticed by the number of pictures in the
+file's header. A picture that is decoded in part looks like any other to OpenCV.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise, zip_longest
@@ -28,17 +28,20 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.recordings import FORMATS
+from egolane_pgm.recordings import FORMATS, PICTURES
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.topics import messages, topics_of
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.types import FloatArray, InputError, problems_in
+from egolane_pgm.types import InputError, problems_in
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.camera.writing import silent
 
-#: Extensions of picture files; any other file is read as a video.
-PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+#: The first bytes of a JPEG and of a PNG, and the marks of its data and of its end.
+_ENDS = {b"\xff\xd8": (b"\xff\xda", b"\xff\xd9"), b"\x89PNG": (b"IDAT", b"IEND")}
+
+#: So many pictures in a row that cannot be decoded are taken for the end of a video.
+_MOST_FAILED = 250
 
 #: The message types of pictures in a bag, in any package.
 _KINDS = ("Image", "CompressedImage", "RawImage")
@@ -46,6 +49,9 @@ _KINDS = ("Image", "CompressedImage", "RawImage")
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
 
+
+#: The frame rate of most videos, Hz.
+_USUAL_RATE = 25
 
 #: Reads the pictures with frame ids from the first number to before the second, one at a time:
 #: frame id, file (for messages) and a function for the image, which raises InputError for a damaged
@@ -61,16 +67,17 @@ class Source:
     - read: the reader of its pictures
     - n_frames: None if the video lacks it
     - frame_rate: Hz; None for picture files and if a video has no frame rate
-    - time_s (n_frames,): when each picture in a bag was taken, seconds; None for other sources
-    - stamps: the time stamp of each picture of a video that was read so far, seconds, by frame id
+    - stamps: the time stamp of each picture in a bag, and of each of a video that was read so far,
+      seconds, by frame id
+    - seek: reads the pictures of a video near some positions: file and function for each image
     """
 
     path: str
     read: Reader
     n_frames: int | None
     frame_rate: float | None = None
-    time_s: FloatArray | None = None
     stamps: dict[int, float] = field(default_factory=dict)
+    seek: Callable[[Iterable[int]], Iterator[tuple[str, Callable[[], Image]]]] | None = None
 
 
 def is_pattern(path: str) -> bool:
@@ -104,6 +111,23 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     return Source(path, read, len(ids))
 
 
+def spread(source: Source, most: int) -> Iterator[tuple[str, Callable[[], Image]]]:
+    """Up to `most` pictures, evenly spread over a drive: the file of each and a function that reads
+    it. A video without a number of frames is taken from its beginning."""
+    n = source.n_frames or most * _USUAL_RATE
+    chosen = sorted({(2 * k + 1) * n // (2 * most) for k in range(most)})
+    if source.seek is not None:
+        return source.seek(chosen)
+    numbered = enumerate(source.read(0, math.inf))
+    return ((file, load) for at, (_, file, load) in numbered if at in chosen)
+
+
+def first_size(source: Source) -> tuple[int, int]:
+    """Width and height of the first picture that can be read."""
+    _, _, (first,) = next(images_of((source,), None))
+    return size_of(first)
+
+
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     """Scale a camera to the pictures of a source, with a warning if they have another size than it
     was calibrated for, and the same aspect ratio. Another warns of a height that no car and no
@@ -117,8 +141,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
             UserWarning,
             stacklevel=2,
         )
-    _, _, (first,) = next(images_of((source,), None))
-    width, height = size_of(first)
+    width, height = first_size(source)
     if (width, height) == (camera.width, camera.height):
         return camera
     with problems_in(source.path):
@@ -217,7 +240,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
         # Stamps that do not increase are ignored.
         return Source(str(place), read, len(time_s))
     rate = rate_of(np.arange(len(time_s)), time_s)
-    return Source(str(place), read, len(time_s), rate, time_s)
+    return Source(str(place), read, len(time_s), rate, dict(enumerate(time_s.tolist())))
 
 
 def image_topic(path: Path, topic: str | None) -> str:
@@ -244,11 +267,10 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
     data = value["data"]
     raw = np.frombuffer(base64.b64decode(data) if isinstance(data, str) else data, dtype=np.uint8)
     if "encoding" not in value:
-        with silent():
-            image = cv2.imdecode(raw, cv2.IMREAD_COLOR) if raw.size else None
-        if image is None:
+        compressed = decoded(raw.tobytes())
+        if compressed is None:
             raise InputError(f"{where}: its {value['format']!r} cannot be read")
-        return image  # type: ignore[return-value]
+        return compressed
     height = int(value["height"])
     width = int(value["width"])
     encoding = str(value["encoding"])
@@ -298,8 +320,16 @@ def _pictures_in_video(path: Path) -> Source:
     def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
         video = open_video(path)
         at = 0
+        # Pictures that could not be decoded, before the next good one and in all.
+        failed = 0
+        lost = 0
         try:
-            while at < stop and video.grab():
+            while at < stop and failed < _MOST_FAILED:
+                if not video.grab():
+                    failed += 1
+                    continue
+                lost += failed
+                failed = 0
                 if at >= first:
                     is_there, image = video.retrieve()
                     if not is_there:
@@ -309,15 +339,27 @@ def _pictures_in_video(path: Path) -> Source:
                 at += 1
         finally:
             video.release()
-        if first < at < min(count, stop):
+        # OpenCV counts one picture too many in some whole files.
+        if first < at < min(count - (lost == 0), stop):
             warnings.warn(
                 f"{path}: has {at} of the {count} frames that it should have (cut off, damaged,"
-                " or dropped when it was recorded): after such a place the frame ids are too low",
+                " or dropped when it was recorded): after such a place the frame ids are too low,"
+                " and the times are right",
                 UserWarning,
                 stacklevel=2,
             )
 
-    return Source(str(path), read, count if count > 0 else None, known_rate, stamps=stamps)
+    def seek(positions: Iterable[int]) -> Iterator[tuple[str, Callable[[], Image]]]:
+        video = open_video(path)
+        for at in positions:
+            video.set(cv2.CAP_PROP_POS_FRAMES, at)
+            is_there, image = video.read()
+            if is_there:
+                yield str(path), partial(np.asarray, image)
+        video.release()
+
+    n_frames = count if count > 0 else None
+    return Source(str(path), read, n_frames, known_rate, stamps=stamps, seek=seek)
 
 
 # --- picture files -------------------------------------------------------------------------------
@@ -362,12 +404,23 @@ def read_image(path: Path) -> Image:
 
     Raises InputError for a file that is missing, cut off or no picture.
     """
-    with silent():
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    raw = path.read_bytes() if path.is_file() else b""
+    image = decoded(raw)
     if image is None:
         raise InputError(
             f"{path}: is not a picture that can be read (missing, another kind of file, or cut off)"
         )
+    return image
+
+
+def decoded(raw: bytes) -> Image | None:
+    """The picture in the bytes of a file, (H, W, 3), blue green red; None if there is none. The end
+    of a file that was cut off is missing, and OpenCV would fill up the picture with grey."""
+    for magic, (part, end) in _ENDS.items():
+        if raw.startswith(magic) and raw.rfind(end) < raw.rfind(part):
+            return None
+    with silent():
+        image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR) if raw else None
     return image  # type: ignore[return-value]
 
 

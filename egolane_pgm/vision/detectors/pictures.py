@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.experiment import DETECTOR, Experiment
-from egolane_pgm.loading import existing
+from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment
+from egolane_pgm.loading import camera_beside, existing
 from egolane_pgm.recordings.select import rate_of
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOTE, InputError, LineLog, problems_in
-from egolane_pgm.vision.camera.model import Camera, read_camera
+from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera, read_camera, write_camera
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import (
     ReadyDetector,
@@ -27,15 +29,20 @@ from egolane_pgm.vision.detectors.runner import (
 #: Time stamps of a video that differ less from a constant frame rate, frames, are rounded.
 _STEADY = 0.5
 
+#: Time with another number of lanes for a doubt, seconds.
+_MINUTE_S = 60.0
+
 if TYPE_CHECKING:
     # OpenCV is imported only where there are pictures.
     from egolane_pgm.vision.camera.pictures import Source as PictureFiles
 
 
 def open_pictures(
-    experiment: Experiment,
+    experiment: Experiment, *, calibrate: bool = True
 ) -> tuple[ReadyDetector, Camera, PictureFiles, PictureFiles | None]:
     """Return the detector of an experiment, its camera and its pictures (left, and right or None).
+
+    - calibrate: whether to make the camera's file beside the pictures if it is missing.
 
     Raises InputError, with the key, for anything that cannot be used.
     """
@@ -53,13 +60,39 @@ def open_pictures(
             f"{source}: recording.camera: is missing; the detector needs the camera's YAML"
             " file (`egolane calibrate` makes one)"
         )
+    left = pictures_of(experiment, "path")
+    place = Path(recording.camera)
+    if recording.camera == camera_beside(recording.path) and not place.exists():
+        if not calibrate:
+            from egolane_pgm.vision.calibration.road_lines import assumed_camera
+            from egolane_pgm.vision.camera.pictures import first_size
+
+            return detector, assumed_camera(*first_size(left)), left, None
+        calibrate_drive(left, place)
     camera = read_camera(existing(experiment, "recording.camera"))
     check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
-    left = pictures_of(experiment, "path")
     right = pictures_of(experiment, "right") if recording.right is not None else None
     # To refuse early a camera that does not show the road.
     start(detector, camera)
     return detector, camera, left, right
+
+
+def calibrate_drive(source: PictureFiles, file: Path) -> None:
+    """Write the camera of a drive, calibrated from its own pictures. Raises InputError, with the
+    cure, if it cannot be calibrated or written."""
+    from egolane_pgm.vision.calibration.road_lines import ASSUMED_LENS, calibrate_road
+
+    with problems_in("recording.camera: is missing, and cannot be made"):
+        check_place(file)
+        camera, comment = calibrate_road(source)
+    write_camera(file, camera, f"Made from {source.path}.\n{ASSUMED_LENS}\n{comment}")
+    warnings.warn(
+        f"{NOTE}{file}: made from the pictures, for lanes of {camera.lane_width_m:g} m:"
+        f" {camera.height_m:.2f} m above the road, pitch {camera.pitch_deg:.2f} degrees; for other"
+        " lanes calibrate again (`egolane calibrate`)",
+        UserWarning,
+        stacklevel=2,
+    )
 
 
 def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
@@ -76,7 +109,25 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
             UserWarning,
             stacklevel=2,
         )
+    for note in lanes_seen(log, experiment):
+        warnings.warn(note, UserWarning, stacklevel=2)
     return log, left.frame_rate
+
+
+def lanes_seen(log: LineLog, experiment: Experiment) -> Iterator[str]:
+    """Doubt the number of lanes if, for a minute in all and for most of the time, another number
+    fits between the outermost continuous lines."""
+    camera = read_camera(str(experiment.recording.camera))
+    edge = np.where(log.is_valid & log.is_continuous, log.offset_m, np.nan)
+    width_m = np.fmax.reduce(edge, axis=1) - np.fmin.reduce(edge, axis=1)
+    lanes = np.round(width_m[width_m > 0] / (camera.lane_width_m or USUAL_LANE_M))
+    other = lanes[lanes != experiment.n_lanes]
+    other_s = len(other) * float(np.ptp(log.time_s)) / len(log)
+    if other_s >= _MINUTE_S and len(other) > len(lanes) / 2 and experiment.n_lanes != FROM_MAP:
+        yield (
+            f"{log.source}: doubtful: n_lanes is {experiment.n_lanes}, but between two continuous"
+            f" lines {np.median(other):.0f} lanes were seen for {other_s:.0f} s"
+        )
 
 
 def detect_pictures(
@@ -113,9 +164,8 @@ def detect_pictures(
             raise
         stopped = reason
     log = as_log(found, frame_rate, left.path)
-    if left.time_s is not None and (stamps or not is_given):
-        log = replace(log, time_s=left.time_s[log.frame_id])
-    if left.stamps and not is_given:
+    # Only a video is sought, and its stamps begin at 0.
+    if left.stamps and (not is_given or (stamps and left.seek is None)):
         time_s = np.array([left.stamps[k] for k in log.frame_id.tolist()])
         away = np.abs(time_s - log.time_s).max() * frame_rate
         if away > _STEADY and (np.diff(time_s) > 0).all():

@@ -24,12 +24,15 @@ def test_a_file_that_is_no_picture_is_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     whole = write(tmp_path / "whole.jpg", images(1)[0]).read_bytes()
-    for content in (b"", whole[:99]):
+    png = write(tmp_path / "whole.png", images(1)[0]).read_bytes()
+    for content in (b"", whole[:99], whole[: len(whole) // 2], whole[:-2], png[: len(png) // 2]):
         (tmp_path / "cut.jpg").write_bytes(content)
         with pytest.raises(
             InputError, match=r"cut\.jpg: is not a picture that can be read \(missing"
         ):
             read_image(tmp_path / "cut.jpg")
+    (tmp_path / "cut.jpg").write_bytes(whole + bytes(9))
+    assert read_image(tmp_path / "cut.jpg").shape == images(1)[0].shape
     # OpenCV's own words, in another form, would stand beside the one line.
     assert "WARN" not in capfd.readouterr().err
 

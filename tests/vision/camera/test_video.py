@@ -46,7 +46,20 @@ def test_a_good_video_has_every_position_and_no_warning(
     assert read(video, (35, N_FRAMES)) == (list(range(35, N_FRAMES)), [])
 
 
-@pytest.mark.parametrize(("ending", "four"), [("avi", "XVID"), ("mkv", "mp4v")])
+@pytest.mark.parametrize("more", [1, 3])
+def test_an_avi_that_counts_one_picture_too_many_is_whole(
+    tmp_path: Path, pictures: list[Image], more: int
+) -> None:
+    video = write_video(tmp_path / "a.avi", pictures)
+    content = bytearray(video.read_bytes())
+    at = content.index(b"strh") + 40
+    struct.pack_into("<I", content, at, N_FRAMES + more)
+    video.write_bytes(content)
+    ids, messages = read(video)
+    assert (len(ids), len(messages)) == (N_FRAMES, more > 1)
+
+
+@pytest.mark.parametrize(("ending", "four"), [("avi", "XVID"), ("mkv", "mp4v"), ("mp4", "mp4v")])
 def test_a_video_damaged_in_its_middle_warns_of_wrong_frame_ids(
     tmp_path: Path, pictures: list[Image], ending: str, four: str
 ) -> None:

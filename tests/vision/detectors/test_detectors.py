@@ -104,15 +104,6 @@ def test_dashed_and_continuous_lines_are_distinguished(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_later_picture_changes_no_earlier_line(
-    name: str, pictures: list[Picture], detected: dict[str, list[FrameLines]]
-) -> None:
-    other = [*pictures[:12], *drive(3, (Paint(0.4),), stereo=True, first=12)]
-    for ours, then in zip(run(name, other)[:12], detected[name], strict=False):
-        assert same(ours, then)
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_the_same_pictures_give_the_same_lines_and_two_drives_share_nothing(
     name: str, pictures: list[Picture], detected: dict[str, list[FrameLines]]
 ) -> None:

@@ -3,17 +3,14 @@ contract: they give lines, or one line of text that says what is wrong."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from egolane_pgm.contracts import Detector
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.camera.model import Camera
-from egolane_pgm.vision.detectors import FrameLines, ml, runner
+from egolane_pgm.vision.detectors import FrameLines
 from tests.kits.drives import refused
 
 GOOD: dict[str, Any] = {
@@ -69,20 +66,3 @@ def test_an_own_detector_that_keeps_no_promise_is_named(
     assert expected in message
     assert "own.py" in message
     assert not target.exists()
-
-
-def test_a_stereo_detector_needs_two_cameras_and_how_far_they_are_apart() -> None:
-    one = Camera(width=640, height=360, fx=500, fy=500, cx=320, cy=180, height_m=1.5)
-    for is_stereo in (False, True):
-        mine = Detector(name="mine", stereo=is_stereo, start=ml.start)
-        detector = runner.ReadyDetector("mine", mine, {}, "recording.detector")
-        if not is_stereo:
-            runner.check_pair(detector, one, False, "here")
-            with pytest.raises(InputError, match="here: detector mine has one camera"):
-                runner.check_pair(detector, one, True, "here")
-            continue
-        with pytest.raises(InputError, match="here: detector mine needs the pictures of a second"):
-            runner.check_pair(detector, replace(one, baseline_m=0.5), False, "here")
-        with pytest.raises(InputError, match="baseline_m"):
-            runner.check_pair(detector, one, True, "here")
-        runner.check_pair(detector, replace(one, baseline_m=0.5), True, "here")

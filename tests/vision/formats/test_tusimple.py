@@ -18,10 +18,8 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.formats.tusimple import (
     ImageLine,
-    frame_number,
     offset_of,
     persistence,
-    read_tusimple,
 )
 from tests.kits.drives import done, write_experiment
 from tests.kits.image_line_files import (
@@ -112,12 +110,6 @@ def test_missing_frames_are_no_misses_but_after_a_second_everything_is_new() -> 
     assert not valid[10].any()
 
 
-def test_the_frame_number_is_the_last_number_of_a_name() -> None:
-    assert [frame_number(name, "x") for name in ("a_12", "b7_13")] == [12, 13]
-    with pytest.raises(InputError, match="x: 'left' has no frame number"):
-        frame_number("left", "x")
-
-
 def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.jsonl", [entry(k, classes=[4, 1, 1]) for k in range(30)])
     camera = saved_camera(tmp_path)
@@ -159,14 +151,6 @@ def test_a_bad_picture_is_refused_with_its_line(
 ) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1), {**entry(2), **change}])
     assert message in whats_wrong(path)
-
-
-def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text('{"events": [1]}')
-    with pytest.raises(
-        InputError, match=r"line 1: has no raw_file \(str\), which TuSimple's format needs"
-    ):
-        read_tusimple(tmp_path / "a.json")
 
 
 def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Path) -> None:

@@ -42,7 +42,8 @@ def describe_onnx(onnx: Path) -> str:
 
 
 def _is_picture(shape: Shape) -> bool:
-    return shape is None or (len(shape) == 4 and shape[1] in (None, 3))
+    # With the colours last, all other axes may be unknown.
+    return shape is None or (len(shape) == 4 and shape[1] in (None, 3) and shape[3] != 3)
 
 
 def _fits(layout: str, declared: Mapping[str, Shape]) -> bool:
@@ -57,4 +58,8 @@ def _fits(layout: str, declared: Mapping[str, Shape]) -> bool:
         return len(short) < 2 and any(s is not None and s.get("n", 0) <= _MOST_LINES for s in found)
     if layout == "polylines":
         return any(s is not None and s.get("k") in _CANDIDATES for s in found)
-    return any(s is not None and s.get("w", 99) > _MOST_LINES for s in found)
+    # A mask is wider than it has channels, unless these are last.
+    return any(
+        s is not None and s.get("w", 999) > max(_MOST_LINES, s.get("k", 0), s.get("m", 0))
+        for s in found
+    )

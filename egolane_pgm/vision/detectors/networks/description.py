@@ -158,6 +158,11 @@ def read_network(path: str | Path) -> Network:
     Raises InputError for a file that is absent, and for a key that does not fit.
     """
     path = Path(path)
+    if path.suffix == ".onnx":
+        raise InputError(
+            f"network: {path} is the ONNX file; give the YAML that describes it (docs/networks.md;"
+            f" `egolane show {path.name}` lists the layouts that fit)"
+        )
     path = path.with_name(f"{path.name}.yaml") if path.name in ready_networks() else path
     file = path if path.is_file() else READY / path.name
     if not file.is_file():

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
-from egolane_pgm.vision.camera.model import Camera, road_seen
+from egolane_pgm.vision.camera.model import Camera, is_shown, road_seen
 from egolane_pgm.vision.camera.picture import Image, check_size
 
 #: The smallest share of a view that must be in the picture.
@@ -75,8 +75,7 @@ def make_view(
     u, v = road_seen(camera, x_m[:, None], y_m)
     with np.errstate(invalid="ignore"):
         valid = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
-    for left, top, right, bottom in camera.ignore:
-        valid &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
+    valid &= is_shown(camera, u, v)
     if valid.mean() < _LEAST_SHARE:
         raise InputError(
             f"camera: only {100 * valid.mean():.0f} % of the road from {x_min:g} to {x_max:g} m"

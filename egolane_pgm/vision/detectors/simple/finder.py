@@ -6,6 +6,7 @@ Its four variants have one or two cameras, and fit straight lines or clothoids.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, FloatArray
-from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.model import LANE_WIDTHS, Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step
 from egolane_pgm.vision.detectors.simple import drift
@@ -28,6 +29,7 @@ from egolane_pgm.vision.detectors.simple.tracking import (
     Tracks,
     advance,
     expected,
+    gaps_beyond,
     lines_of,
     no_tracks,
     rules,
@@ -36,6 +38,9 @@ from egolane_pgm.vision.detectors.simple.tracking import (
 #: The parameters of all variants, each of which sets `curve`, and of those with one camera.
 PARAMETERS = (*(p for p in FINDING if p.name != "curve"), *_PAINT, *TRACKING)
 MONO = (*PARAMETERS, *drift.PARAMETERS)
+
+#: The number of frames with a line a lane beyond the edge of the road for a warning.
+_BEYOND_FRAMES = 50
 
 #: From a picture of both cameras to the bird's-eye view with the camera's pitch in this frame, and
 #: its pixels (R, C) on the plane of the road.
@@ -49,11 +54,25 @@ def start(camera: Camera, parameters: Parameters, **given: Any) -> Step:
     """Start a drive, as the `start` of a detector; `given` as in `follower`."""
     follow, rule = follower(camera, parameters, **given)
     tracks = no_tracks(rule)
+    n_beyond = 0
 
     def step(picture: Picture) -> FrameLines:
-        nonlocal tracks
+        nonlocal tracks, n_beyond
         tracks = follow(tracks, picture)
-        return lines_of(tracks, rule)
+        lines = lines_of(tracks, rule)
+        gaps = gaps_beyond(tracks, lines)
+        n_beyond += bool(((gaps > LANE_WIDTHS[0]) & (gaps < LANE_WIDTHS[1])).any())
+        if n_beyond == _BEYOND_FRAMES:
+            n_beyond += 1
+            warnings.warn(
+                f"frame {picture.frame_id}: doubtful: in {_BEYOND_FRAMES} frames a line was a"
+                " lane beyond the continuous one that is taken for the edge of the road; if a lane"
+                " lies between (another lane, or the other direction of a two-way road), set"
+                " beyond_edge to keep",
+                UserWarning,
+                stacklevel=2,
+            )
+        return lines
 
     return step
 

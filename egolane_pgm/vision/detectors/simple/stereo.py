@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,7 +25,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, problems_in
-from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, is_shown, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple.birdseye import VIEWS, BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
@@ -41,10 +42,10 @@ PARAMETERS = (
     Parameter(
         "match_rows",
         "integer",
-        4,
+        0,
         "number of rows of the pictures that become one to match; several make the matches of plain"
-        " surfaces more certain and faster",
-        lowest=1,
+        " surfaces more certain and faster (0: 4 with sgbm, 2 with elas)",
+        lowest=0,
         highest=100,
     ),
 )
@@ -52,14 +53,29 @@ PARAMETERS = (
 #: Factor by which pictures are made narrower to match.
 _SCALE = 2
 
+#: `match_rows` of each matcher. On drawn pairs with faint grain, the plane of ELAS is off by 0.5
+#: degrees with 4 rows, and by 0.1 degrees with 2; more than 2 do not fit into small pictures.
+_MATCH_ROWS = {"sgbm": 4, "elas": 2}
+
 #: The smallest distance that is matched, metres.
 _NEAREST_M = 4.0
 
 #: Least height of objects above or below the plane, metres.
 _OFF_PLANE_M = 0.25
 
-#: Frames in a row without a plane for a warning.
+#: Frames in a row without a plane, or with most of the road unknown, for a warning of it.
 _UNSURE_AFTER = 20
+
+#: Share of the road without a match that is most of it.
+_MOSTLY = 0.5
+_NO_PLANE = (
+    "no road plane was found (do the two pictures show the same? are left and right swapped? is"
+    " the pair rectified, baseline_m right?); the calibrated plane is used instead"
+)
+_UNKNOWN = (
+    "most of the road has no match, and counts as road: nothing that stands on it is dropped"
+    " (another matcher or match_rows, or larger pictures, may match more)"
+)
 
 #: From two small grey pictures (H, W) and the number of searched disparities to the disparity of
 #: each pixel of the left one, (H, W); negative if unknown.
@@ -160,7 +176,7 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
         )
     pair = make_pair(camera, parameters)
     turned = turned_up(view)
-    n_unsure = 0
+    unsure = Counter[str]()
 
     @lru_cache(maxsize=VIEWS)
     def pitched(steps: int) -> tuple[BirdsEye, IntArray]:
@@ -172,18 +188,17 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
         return seen, row * width + np.clip(u // _SCALE, 0, width - 1)
 
     def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
-        nonlocal n_unsure
         disparity = disparities(pair, picture)
         plane = find_plane(pair, disparity)
-        n_unsure = n_unsure + 1 if plane is None else 0
-        if n_unsure == _UNSURE_AFTER:
-            warnings.warn(
-                f"frame {picture.frame_id}: no road plane found in {_UNSURE_AFTER} frames in a row"
-                " (do the two pictures show the same? are left and right swapped? is the pair"
-                " rectified, baseline_m right?); the calibrated plane is used instead",
-                UserWarning,
-                stacklevel=2,
-            )
+        is_unknown = np.isnan(disparity.ravel()[pair.points]).mean() > _MOSTLY
+        for text, is_so in ((_NO_PLANE, plane is None), (_UNKNOWN, is_unknown)):
+            unsure[text] = unsure[text] + 1 if is_so else 0
+            if unsure[text] == _UNSURE_AFTER:
+                warnings.warn(
+                    f"frame {picture.frame_id}: in {_UNSURE_AFTER} frames in a row {text}",
+                    UserWarning,
+                    stacklevel=2,
+                )
         away = 0.0 if plane is None else float(pose(camera, plane)[1]) - camera.pitch_deg
         seen, pixels = pitched(round(away / _PITCH_STEP_DEG))
         return seen, ~off_plane(pair, disparity, plane).ravel()[pixels]
@@ -196,8 +211,8 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 
     Raises InputError if the pictures would become too small, or the baseline is too long for them.
     """
-    rows = int(number(parameters, "match_rows"))
     matcher = str(parameters["matcher"])
+    rows = int(number(parameters, "match_rows")) or _MATCH_ROWS[matcher]
     top, bottom = _rows(camera, parameters)
     height = (bottom - top) // rows
     width = camera.width // _SCALE
@@ -216,8 +231,7 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     with np.errstate(invalid="ignore"):
         is_used = (x < number(parameters, "x_max_m")) & (np.abs(y) <= number(parameters, "side_m"))
     is_used &= u >= flat + _SCALE * _EDGE_PX
-    for left, above, right, below in camera.ignore:
-        is_used &= ~((u >= left) & (u < right) & (v >= above) & (v < below))
+    is_used &= is_shown(camera, u, v)
     every = max(math.ceil(math.sqrt(is_used.sum() / _MOST_POINTS)), 1)
     grid = np.zeros_like(is_used)
     grid[::every, ::every] = True

@@ -280,6 +280,14 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
     )
 
 
+def gaps_beyond(tracks: Tracks, lines: FrameLines) -> FloatArray:
+    """Return the distances, metres, of valid tracks from the outermost valid line of a frame on
+    either side; negative for tracks between the two."""
+    offset = tracks.mean[tracks.is_valid, 0]
+    shown = lines.offset_m[lines.is_valid]
+    return np.concatenate([shown[:1] - offset, offset - shown[-1:]])
+
+
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
     """Match each line with the found line that continues it: its index, (L,), or -1."""
     gap = (shape[None, :, :] - tracks.mean[:, None, :]) @ rule.at.T

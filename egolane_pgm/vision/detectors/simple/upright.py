@@ -16,7 +16,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
-from egolane_pgm.vision.camera.model import Camera, vanishing_point
+from egolane_pgm.vision.camera.model import Camera, is_shown, vanishing_point
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
@@ -63,14 +63,13 @@ def is_daylight(camera: Camera, image: Image) -> bool:
     """
     horizon = max(math.floor(vanishing_point(camera)[1]), 0) // 8
     red = (image if image.ndim == 2 else image[:, :, 2])[::8, ::8]
-    shown = np.ones(red.shape, dtype=bool)
-    for left, top, right, bottom in camera.ignore:
-        shown[max(top, 0) // 8 : -(-bottom // 8), max(left, 0) // 8 : -(-right // 8)] = False
+    rows, columns = (8 * np.arange(n) for n in red.shape)
+    shown = is_shown(camera, columns, rows[:, None])
     # The part that headlights light most: neither the bonnet nor far ahead.
-    rows = len(red) - horizon
-    columns = red.shape[1]
-    middle = slice(columns // 4, 3 * columns // 4)
-    lit = slice(horizon + rows // 4, horizon + 3 * rows // 4)
+    height = len(red) - horizon
+    width = red.shape[1]
+    middle = slice(width // 4, 3 * width // 4)
+    lit = slice(horizon + height // 4, horizon + 3 * height // 4)
     sky = red[:horizon][shown[:horizon]]
     road = red[lit, middle][shown[lit, middle]]
     if not sky.size or not road.size:

@@ -62,5 +62,7 @@ def test_a_ready_network_needs_the_onnx_only(folder: Path) -> None:
     ("name", "hint"), [("", ""), ("none", ""), ("lsrt", r"\(did you mean 'lstr'\?\)")]
 )
 def test_an_unknown_network_is_refused(name: str, hint: str) -> None:
+    with pytest.raises(InputError, match=r"x\.onnx is the ONNX file; give the YAML that describes"):
+        read_network("x.onnx")
     with pytest.raises(InputError, match=rf"^network: '.*{name}' is not the YAML of .*{hint}"):
         read_network(name)

@@ -307,9 +307,11 @@ def test_an_onnx_is_shown_or_refused(tmp_path: Path) -> None:
     [
         ([(1, 2, 40, 80), (1, 4, 40, 80)], ["lanes", "instances"]),
         ([(1, 999, 4), (1, 999, 1), (1, 3, 40, 80)], ["lanes", "instances"]),
-        ([(1, 39, 99), (1, 32, 20, 20)], ["prototypes", "lanes", "instances"]),
+        ([(1, 39, 99), (1, 32, 40, 40)], ["prototypes", "lanes", "instances"]),
         ([(1, 101, 56, 4)], ["row_anchors"]),
         ([(1, 3), (2, 2)], []),
+        # Channels last.
+        ([(1, 40, 80, 20)], []),
     ],
 )
 def test_the_layouts_that_fit_another_file_are_listed(
@@ -321,7 +323,9 @@ def test_the_layouts_that_fit_another_file_are_listed(
     assert ("no layout fits" in text) == (not layouts)
 
 
-@pytest.mark.parametrize("shape", [(1, 40, 80, 3), (1, 1, 40, 80), (3, 40, 80)])
+@pytest.mark.parametrize(
+    "shape", [(1, 40, 80, 3), (None, None, None, 3), (1, 1, 40, 80), (3, 40, 80)]
+)
 def test_no_layout_fits_if_no_input_is_a_picture_with_its_colours_first(
     tmp_path: Path, shape: tuple[int, ...]
 ) -> None:

@@ -192,16 +192,3 @@ def test_opencv_computes_the_outputs_of_onnxruntime(tmp_path: Path) -> None:
     (wanted,) = session.run(["lanes"], {"picture": as_input(network, fit, image)})
     np.testing.assert_allclose(load(network, fit)(image)["mask"], wanted[0], rtol=1e-4, atol=1e-4)
     assert read_onnx(Path(network.model), "here").inputs == {"picture": (1, 3, 120, 160)}
-
-
-def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> None:
-    path, file = conv(tmp_path, (1, 3, 40, 80)), tmp_path / "x.onnx"
-    whole = started(path)(noise(160, 120))["mask"]
-    weights = tmp_path / "x.onnx.data"
-    apart = {"save_as_external_data": True, "location": weights.name, "size_threshold": 0}
-    onnx.save(onnx.load(str(file)), str(file), **apart)
-    assert np.array_equal(started(path)(noise(160, 120))["mask"], whole)
-    weights.write_bytes(weights.read_bytes()[:10])
-    assert f"model: {file}: is not an ONNX file that can be read: " in refused(path)
-    weights.unlink()
-    assert str(weights) in refused(path)
