@@ -119,17 +119,6 @@ def test_hard_soft_and_missing_evidence_give_pgmpy_s_beliefs() -> None:
                 np.testing.assert_allclose(ours[node][t], right, rtol=0, atol=1e-12)
 
 
-def test_frames_with_their_evidence_give_the_same_answers() -> None:
-    filtered, smoothed = (f(compiled(), evidence()) for f in (filter_beliefs, smooth_beliefs))
-    whole, latest = (unrolled(compiled(), evidence(), first, 3) for first in (0, 2))
-    for node in ("Gear", "Cold"):
-        for t in range(4):
-            found = ask(whole.network, f"{node}@{t}", evidence=whole.given)
-            np.testing.assert_allclose(found, smoothed[node][t], rtol=0, atol=1e-12)
-        found = ask(latest.network, f"{node}@3", evidence=latest.given)
-        np.testing.assert_allclose(found, filtered[node][3], rtol=0, atol=1e-12)
-
-
 def test_what_was_learned_goes_back_to_pgmpy() -> None:
     fitted = fit_tables(compiled(), evidence(), strength=1.0, iterations=5)
     with quiet():
