@@ -18,7 +18,6 @@ from egolane_pgm.scoring.confusion import SMALLEST_PROBABILITY
 from egolane_pgm.scoring.events import (
     Reported,
     answer_delays,
-    false_switches,
     lane_changes,
     score_events,
     stability_scores,
@@ -58,23 +57,6 @@ def drives(draw: st.DrawFn) -> Drive:
     frame_id = np.cumsum(rng.integers(1, 3, size))
     assigned = stretches(0, n, 9)
     return assigned, lane_truth(frame_id, stretches(1, n, 20), stretches(0, 3, 6) == 0)
-
-
-@pytest.mark.parametrize(
-    ("assigned", "lane", "flags", "switches", "counted"),
-    [
-        # Rows 2 and 3 switch falsely, row 5 goes with the truth.
-        ("112112", "111112", "......", [2, 3], [1, 2, 3, 4]),
-        # Switches in, into and out of a crossing are not counted.
-        ("112123", "111111", "..xx..", [5], [1, 5]),
-    ],
-)
-def test_false_switches(
-    assigned: str, lane: str, flags: str, switches: list[int], counted: list[int]
-) -> None:
-    is_false, is_counted = false_switches(digits(assigned), digits(lane), crossing(flags))
-    assert np.flatnonzero(is_false).tolist() == switches
-    assert np.flatnonzero(is_counted).tolist() == counted
 
 
 def test_the_rate_is_per_minute_of_consecutive_frames() -> None:
@@ -131,12 +113,6 @@ def test_the_delay_of_lane_changes(
     truth = truth_of(lane, flags)
     found = answer_delays(digits(assigned), truth, lane_changes(truth))
     assert [None if math.isnan(d) else d for d in found] == expected
-
-
-def test_missing_frame_ids_count_as_the_time_they_are() -> None:
-    ids = np.array([1, 2, 3, 4, 15, 16, 17, 18, 19, 20])
-    truth = lane_truth(ids, digits("11 1 2222222"), crossing(".. x ......."))
-    assert answer_delays(digits("11 1 1122222"), truth, lane_changes(truth)).tolist() == [12]
 
 
 def test_median_and_percentile_are_of_the_changes_that_were_not_missed() -> None:
