@@ -18,7 +18,7 @@ from egolane_pgm.model import graph_in_memory
 from egolane_pgm.online import online, read_messages
 from egolane_pgm.tools.files import write_yaml
 from tests.kits.bags import line_bag
-from tests.kits.drives import done, log_with_gaps, refused, short_drive, write_drive
+from tests.kits.drives import log_with_gaps, short_drive
 from tests.kits.streams import messages
 
 GRAPH = """
@@ -226,7 +226,6 @@ def at(frame: int, value: Any) -> pd.DataFrame:
         (at(12, ""), None, "in memory: frame 12: no Rain"),
         (at(12, "wet"), None, r"in memory: row \d+: Rain is 'wet', not a number"),
         (with_rain(), {"Rain": 3}, "unknown key 'Rain'"),
-        (with_rain(), "ofset_m=lateral", r"unknown key 'ofset_m' \(did you mean 'offset_m'\?\)"),
     ],
 )
 def test_a_column_that_cannot_be_used_is_refused_in_a_line(
@@ -257,11 +256,3 @@ def test_bounds_that_do_not_fit_are_refused(tmp_path: Path, bounds: str, said: s
     file.write_text(GRAPH.replace("(0.5, 2.0)}", f"{bounds}}}"))
     with pytest.raises(ego.InputError, match=said):
         run(with_rain(), file)
-
-
-def test_on_the_command_line(graph: Path, tmp_path: Path) -> None:
-    experiment = write_drive(tmp_path, graph=str(graph), recording__columns={"Rain": "mm"})
-    assert "lines.csv: columns: Rain: there is no column 'mm'" in refused("run", experiment)
-    with_rain(name="mm").reset_index().to_csv(tmp_path / "lines.csv", index=False)
-    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    assert "ok (3 lanes, 12 joint states)" in done("run", experiment, "--dry-run").stdout

@@ -113,11 +113,6 @@ def killed(path: Path) -> None:
             "no column offset_m; the table has time_s, way, rest",
         ),
         (lambda path: write_bag(path, [GOOD_MESSAGE, b""]), {}, "cannot be read as a bag ("),
-        (
-            of_ids(0, 0, 0),
-            {},
-            "row 2: its frame has this line twice; `columns: {frame_id: null}` numbers frames by",
-        ),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
 )

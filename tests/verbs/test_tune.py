@@ -119,22 +119,16 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--set fit.objective=acuracy", "fit.objective: unknown score 'acuracy' (did you mean"),
         ("-p sigma1", "--parameter: sigma1: write it as key=value, e.g. n_lanes=3"),
-        ("-p sigma=1", "unknown parameter 'sigma'"),
-        ("--set fit.sampler=tpee", "fit.sampler: unknown sampler 'tpee' (did you mean 'tpe'?)"),
         ("--folds 5000", "--folds: 5000 is not between 2 and the 1"),
         ("--folds 1", "--folds: 1 leaves nothing to fit to; 0 holds out nothing"),
         ("--trials 0", "'--trials'"),
-        ("--profile sigma", "--profile: no number 'sigma' is searched (did you mean"),
-        ("--set fit.sampler=BruteForceSampler", "BruteForceSampler: FloatDistribution.step must"),
         ("--set fit.sampler=CmaEsSampler --set fit.objective=[f1,brier]", "CmaEsSampler: If the"),
         (
             "--set fit.sampler=GridSampler",
             "fit.sampler: GridSampler: GridSampler.__init__()",
         ),
         ("--by-tag weather", "--by-tag: goes with a table of runs"),
-        ("--table gone.csv", "gone.csv: cannot be read as a table"),
         ("--storage nosuch://me:secret@host/base", "nosuch://me:***@host/base"),
         ("--set filter=fixed_lag --set lag=3", "filter: a search takes assumed_density or exact"),
         ("--ground-truth x.txt", "No such option"),
