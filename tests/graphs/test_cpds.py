@@ -83,19 +83,6 @@ def test_a_table_that_is_no_distribution_is_refused_naming_it(
     assert str(error.value).startswith(message)
 
 
-def test_the_helpers_place_their_tables_in_the_right_slices() -> None:
-    assert [t.node for t in prior("A", [0.5, 0.5])] == [("A", 0)]
-    (table,) = prior("B", np.full((2, 2), 0.5), ["A"])
-    assert (table.node, table.parents) == (("B", 0), (("A", 0),))
-    (table,) = dynamics("B", [previous("A"), "C"], np.full((2, 2, 2), 0.5))
-    assert (table.node, table.parents) == (("B", 1), (("A", 0), ("C", 1)))
-    both = within("D", ["A"], np.full((2, 2), 0.5))
-    assert [(t.node, t.parents) for t in both] == [
-        (("D", 0), (("A", 0),)),
-        (("D", 1), (("A", 1),)),
-    ]
-
-
 # --- declaration ---------------------------------------------------------------------------------
 
 KEEP = np.array([[0.9, 0.1], [0.2, 0.8]])
