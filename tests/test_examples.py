@@ -45,7 +45,7 @@ def test_a_network_in_pgmpys_own_style_is_compiled_and_filtered() -> None:
 
 
 def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path) -> None:
-    words = [QUICKSTART, "--set", "recording.frames=[0, 600]"]
+    words = [QUICKSTART, "--set", "recording.frames=[0, 200]"]
     own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}", "--folds", 2]
     done("learn", *words, *own, "--out", tmp_path / "learned")
     learned = yaml.safe_load((tmp_path / "learned/best.graph.yaml").read_text())

@@ -164,13 +164,14 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
     beliefs = []
     for graph in ("own.py", "plain.py", "silent.py", "g.bif", "g.xml"):
         result = run(write_drive(tmp_path, graph=graph, evidence="./r.py"))
-        result.save(tmp_path / "out" / graph)
+        if graph == "g.bif":
+            result.save(tmp_path / "out")
         assert list(result.run["values"]) == ["Lane"]
         beliefs.append(result.node("Lane"))
     for other in beliefs[1:]:
         np.testing.assert_allclose(other, beliefs[0], rtol=0, atol=1e-12)
     # A copy of the network is beside the result, which runs again from there.
-    again = run(tmp_path / "out" / "g.bif" / "experiment.yaml")
+    again = run(tmp_path / "out" / "experiment.yaml")
     np.testing.assert_array_equal(again.node("Lane"), beliefs[3])
 
 

@@ -41,7 +41,7 @@ def load() -> Problem:
     return Problem(objective([drive], space, fit, [used], ["accuracy"]), space)
 
 
-def tune_lines(rounds: int = 3) -> Iterator[Line]:
+def tune_lines() -> Iterator[Line]:
     """(what, seconds per trial) of everything that is measured."""
     problem = load()
     score, space = problem.score, problem.search_space
@@ -49,9 +49,9 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
     for point in points:
         score(point)
 
-    def timed(run: Callable[[], object], trials: int, times: int = rounds) -> float:
+    def timed(run: Callable[[], object], trials: int) -> float:
         found = []
-        for _ in range(times):
+        for _ in range(3):
             begun = time.perf_counter()
             run()
             found.append((time.perf_counter() - begun) / trials)

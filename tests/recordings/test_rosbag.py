@@ -21,7 +21,6 @@ from egolane_pgm.recordings.topics import messages
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
-    PLAIN_LINE,
     Line,
     definition,
     plain_message,
@@ -79,8 +78,8 @@ def of_ids(*ids: int) -> Callable[[Path], object]:
     return lambda path: write_bag(path, [plain_message(k, LINES[0]) for k in ids])
 
 
-def of_type(body: str, line: str = PLAIN_LINE) -> Callable[[Path], object]:
-    return lambda path: write_bag(path, [b"\0" * 80], text=definition(body, line))
+def of_type(body: str) -> Callable[[Path], object]:
+    return lambda path: write_bag(path, [b"\0" * 80], text=definition(body))
 
 
 def of_bytes(content: bytes) -> Callable[[Path], object]:

@@ -56,7 +56,7 @@ def test_a_profile_finds_what_a_grid_of_the_other_parameters_finds() -> None:
         assert found < min(grid) + 1e-3
 
 
-@pytest.mark.parametrize("name", ["accuracy", "log_loss", "brier"])
+@pytest.mark.parametrize("name", ["accuracy", "log_loss"])
 def test_a_value_is_ruled_out_by_the_interval_of_its_difference_to_the_best(name: str) -> None:
     """Two searched parameters, of which one is profiled alone: every point is known."""
     drive = drive_of(simulated())
