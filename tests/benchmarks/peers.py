@@ -8,13 +8,13 @@ Left out of what is timed: fitting the arrays to the package's conventions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.types import Evidence, FloatArray, IntArray
+from egolane_pgm.types import Evidence, FloatArray
 
 Filter = Callable[[], FloatArray]
 
@@ -164,23 +164,6 @@ def dynamax_gradient(
         return lambda: jax.block_until_ready(run(logs))
 
     return lambda: np.concatenate([np.ravel(each) for each in made()()])
-
-
-def dynamax_paths(compiled: Compiled, evidence: Evidence, n: int) -> Callable[[], IntArray]:
-    """Paths of the posterior by dynamax, as joint states (n, T); compiled in the first call."""
-    emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
-    logs = np.log(state_likelihoods(emissions, blocks))
-
-    @cache
-    def draw() -> Callable[..., Any]:
-        import jax
-        from dynamax.hidden_markov_model import hmm_posterior_sample
-
-        given = compiled.prior[0], compiled.transition[0]
-        run = jax.jit(jax.vmap(lambda key: hmm_posterior_sample(key, *given, logs)[1]))
-        return partial(run, jax.random.split(jax.random.PRNGKey(0), n))
-
-    return lambda: np.asarray(draw()())
 
 
 def hmmlearn_chain(given: Sequence[FloatArray], **settings: Any) -> Any:

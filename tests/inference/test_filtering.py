@@ -142,32 +142,21 @@ def test_evidence_that_does_not_fit_the_network_is_refused_naming_the_node(
 
 
 def test_an_input_that_is_missing_unknown_or_out_of_range_is_refused() -> None:
-    tables = [
-        *within("Speed", [], [0.5, 0.5]),
-        *prior("Lane", np.full((2, 2), 0.5), ["Speed"]),
-        *dynamics("Lane", ["Speed", previous("Lane")], np.stack([np.eye(2), np.full((2, 2), 0.5)])),
-        *within("D", ["Lane"], np.eye(2)),
-    ]
-    compiled = compile(declare(tables, ["D"]), hidden=["Lane"], observed=["D"], inputs=["Speed"])
-    seen = {"D": np.ones((2, 2))}
+    compiled, plain = template("position_in_lane", 2), template("sensor_failure", 4)
+    moving, still = (draw_evidence(c, 2, np.random.default_rng(0)) for c in (compiled, plain))
+    last = compiled.cardinality["LineMotion"] - 1
     for inputs, message in [
-        ({}, "input node Speed: the evidence has nothing for it"),
-        ({"Sped": np.zeros(2, dtype=int)}, "input node Speed: the evidence has nothing"),
-        ({"Speed": np.array([0, 2])}, r"input Speed: outside 0\.\.1"),
-        ({"Speed": np.array([-1, 0])}, r"input Speed: outside 0\.\.1"),
+        ({}, "input node LineMotion: the evidence has nothing for it"),
+        ({"LineMotoin": np.zeros(2, dtype=int)}, "input node LineMotion: the evidence has nothing"),
+        ({"LineMotion": np.array([0, last + 1])}, rf"input LineMotion: outside 0\.\.{last}"),
+        ({"LineMotion": np.array([-1, 0])}, rf"input LineMotion: outside 0\.\.{last}"),
     ]:
         with pytest.raises(InputError, match=message):
-            filter_beliefs(compiled, Evidence(seen, inputs))
+            filter_beliefs(compiled, Evidence(moving.likelihoods, inputs))
     with pytest.raises(InputError, match=r"filter 'exakt' \(did you mean 'exact'\?\)"):
-        filter_beliefs(compiled, Evidence(seen, {"Speed": np.zeros(2, dtype=int)}), "exakt")
+        filter_beliefs(compiled, moving, "exakt")
     with pytest.raises(InputError, match="evidence for Speed: the graph has no such input node"):
-        filter_beliefs(
-            template("sensor_failure", 4),
-            Evidence(
-                {"DetectorOutput": np.ones((1, 4)), "WOR": np.ones((1, 2))},
-                {"Speed": np.zeros(1, dtype=int)},
-            ),
-        )
+        filter_beliefs(plain, Evidence(still.likelihoods, {"Speed": np.zeros(2, dtype=int)}))
 
 
 @every_method

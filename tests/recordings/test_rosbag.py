@@ -42,26 +42,6 @@ LINES: list[list[Line]] = [
 ]
 
 
-def test_a_bag_is_read_into_padded_arrays(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "a.bag", [plain_message(k + 4, ls) for k, ls in enumerate(LINES)])
-    log = read_lines(bag, frame_rate=5.0)
-    nan = np.nan
-    np.testing.assert_array_equal(log.frame_id, [4, 5, 6])
-    np.testing.assert_array_equal(log.time_s, [0.8, 1.0, 1.2])
-    np.testing.assert_array_equal(
-        log.offset_m, [[-1.75, float(np.float32(3e32)), nan], [nan] * 3, [1.5, nan, 5.25]]
-    )
-    np.testing.assert_array_equal(
-        log.is_valid, [[True, False, False], [False] * 3, [True, False, True]]
-    )
-    np.testing.assert_array_equal(
-        log.is_continuous, [[False, True, False], [False] * 3, [True, False, False]]
-    )
-    np.testing.assert_array_equal(log.lri, [[7, -1, nan], [nan] * 3, [10, -2147483648, 3]])
-    assert not log.is_missing.any()
-    assert log.source == str(bag)
-
-
 def refused(path: Path, **options: object) -> str:
     with pytest.raises(InputError) as info:
         read_lines(path, **options)

@@ -72,19 +72,6 @@ def test_the_rate_is_per_minute_of_consecutive_frames() -> None:
     assert found["false_switches_per_minute"] == pytest.approx(2)
 
 
-def test_lane_changes_are_found_with_and_without_a_flag_and_aborted_ones_are_not() -> None:
-    # A crossing before the first scored row, an aborted one, a change with a crossing (label of it
-    # ignored), a change without a flag, a crossing at the end.
-    changes = lane_changes(truth_of("2 11 222 11 33 2 2 3 1", "x .. xxx .. xx . . . x"))
-    assert changes.to_dict("list") == {
-        "start": [8, 12],
-        "end": [10, 12],
-        "until": [12, 13],
-        "from_lane": [1, 2],
-        "to_lane": [2, 3],
-    }
-
-
 @pytest.mark.parametrize(
     ("lane", "flags", "assigned", "expected"),
     [

@@ -13,7 +13,6 @@ from typing import Any
 from unittest.mock import MagicMock
 
 import IPython.core.formatters
-import pandas as pd
 import pytest
 
 import egolane_pgm as ego
@@ -78,17 +77,6 @@ def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
     assert base64.b64decode(data["image/png"]).startswith(b"\x89PNG")
     data, _ = formatter.format(run)
     assert data == {"text/plain": repr(run)}
-
-
-def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_path: Path) -> None:
-    graph = ego.run(drive, graph="lane_only")
-    assert graph.experiment.graph == "lane_only"
-    again = ego.run(graph, overrides={"filter": "exact"})
-    assert (again.experiment.filter, again.experiment.graph) == ("exact", "lane_only")
-    table = pd.DataFrame({"name": ["a", "b"], "filter": ["exact", "smoothed"]})
-    summary = ego.run(drive, table=table, out=tmp_path)
-    assert summary.index.to_list() == ["a", "b"]
-    assert summary["error"].isna().all()
 
 
 # --- learn and tune ------------------------------------------------------------------------------
