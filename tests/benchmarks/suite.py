@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -102,49 +103,30 @@ def exact_rows(data: Data, rounds: int) -> list[Row]:
 
 
 def many_rows(data: Data, rounds: int) -> list[Row]:
-    """100 parameter sets. Ours ends with their confusions (as a search does), and once more with
-    their beliefs over lanes, as the others do."""
+    """100 parameter sets, to the beliefs over lanes; compared by their confusions."""
     models = parameter_sets(data.compiled, N_SETS)
     lane, is_crossing = data.truth["true_lane"], data.truth["is_crossing"]
 
-    def to_confusions() -> IntArray:
-        beliefs = (filter_beliefs(model, data.evidence, "exact").lane for model in models)
-        matrices = [confusion(assigned_lane(b), lane, is_crossing, N_LANES) for b in beliefs]
-        return np.stack(matrices)
+    def ours() -> list[FloatArray]:
+        return [filter_beliefs(model, data.evidence, "exact").lane for model in models]
 
-    def to_beliefs() -> FloatArray:
-        for model in models:
-            last = filter_beliefs(model, data.evidence, "exact").lane
-        return last
+    def confusions(beliefs: Any) -> IntArray:
+        return np.stack([confusion(assigned_lane(b), lane, is_crossing, N_LANES) for b in beliefs])
 
-    ours: dict[str, Callable[[], object]] = {"confusions": to_confusions, "beliefs": to_beliefs}
-    others: dict[str, Callable[[], object] | None] = {}
+    others: dict[str, Callable[[], Any] | None] = {}
     for name, make in peers.HMMLEARN.items():
         runs = [make(model, data.evidence) for model in models]
         others[name] = None if runs[0] is None else one_after_the_other(runs)
     others["dynamax, jit of vmap"] = peers.dynamax_filter(models, data.evidence)
     installed = {name: run for name, run in others.items() if run is not None}
-    times = take_turns(ours | installed, max(3, rounds // 4))
-
-    found = to_confusions()
-    rows = []
+    times = take_turns({"ours": ours} | installed, max(3, rounds // 4))
+    found, rows = confusions(ours()), []
+    what = f"filter, exact, {N_SETS} parameter sets"
     for name, run in others.items():
-        difference = ""
-        if run is not None:
-            theirs = [confusion(assigned_lane(b), lane, is_crossing, N_LANES) for b in run()]
-            differ = (np.stack(theirs) != found).any(axis=(1, 2))
-            difference = f"{differ.sum()} of {N_SETS} confusions"
-        for kind in ours:
-            rows.append(
-                Row(
-                    f"filter, exact, {N_SETS} parameter sets, to {kind}",
-                    times[kind],
-                    N_SETS * len(data.log),
-                    name,
-                    times.get(name),
-                    difference,
-                )
-            )
+        differ = (confusions(run()) != found).any(axis=(1, 2)).sum() if run else 0
+        difference = f"{differ} of {N_SETS} confusions" if run else ""
+        frames = N_SETS * len(data.log)
+        rows.append(Row(what, times["ours"], frames, name, times.get(name), difference))
     return rows
 
 

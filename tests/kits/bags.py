@@ -104,25 +104,31 @@ def write_bag2(
     return folder
 
 
-def write_fixes2(folder: Path, rows: list[tuple[float, float, float]]) -> Path:
-    """A ROS 2 bag of sensor_msgs/NavSatFix. rows: seconds, latitude, longitude."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def write_fixes(path: Path, rows: list[tuple[float, float, float]], no_fix: int = -1) -> Path:
+    """A bag (.bag: of ROS 1) of sensor_msgs/NavSatFix.
+
+    - rows: seconds, latitude, longitude
+    - no_fix: the row whose status is that of no fix, if any
+    """
+    from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    is_ros1 = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    serialised = store.serialize_ros1 if is_ros1 else store.serialize_cdr
     types, name = store.types, "sensor_msgs/msg/NavSatFix"
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+    with rosbag1.Writer(path) if is_ros1 else rosbag2.Writer(path, version=9) as bag:
         connection = bag.add_connection("/gps/fix", name, typestore=store)
-        for seconds, latitude, longitude in rows:
+        for k, (seconds, latitude, longitude) in enumerate(rows):
             stamp = types["builtin_interfaces/msg/Time"](int(seconds), int(seconds % 1 * 1e9))
             fix = types[name](
-                types["std_msgs/msg/Header"](stamp, "gps"),
-                types["sensor_msgs/msg/NavSatStatus"](0, 1),
+                types["std_msgs/msg/Header"](*([k] if is_ros1 else []), stamp, "gps"),
+                types["sensor_msgs/msg/NavSatStatus"](-1 if k == no_fix else 0, 1),
                 latitude,
                 longitude,
                 0.0,
                 np.array([4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0]),
                 2,
             )
-            bag.write(connection, 1, store.serialize_cdr(fix, name))
-    return folder
+            bag.write(connection, k + 1, bytes(serialised(fix, name)))
+    return path

@@ -15,7 +15,6 @@ from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines
 from egolane_pgm.recordings.topics import messages
 from egolane_pgm.simulation import simulate
@@ -26,7 +25,6 @@ from tests.kits.bags import (
     plain_message,
     write_bag,
     write_bag2,
-    write_fixes2,
 )
 from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import json_mcap
@@ -242,15 +240,6 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     np.testing.assert_array_equal(found, np.arange(60))
     message = refused(bag, columns=Columns(frame_id="header.seq"))
     assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in message
-
-
-def test_positions_are_read_from_ros1_and_ros2_alike(tmp_path: Path) -> None:
-    rows = [(START_S + k, 51.1 + k * 1e-4, 14.4) for k in range(3)]
-    bag = write_fixes2(tmp_path / "bag", rows)
-    found = read_positions(bag)
-    np.testing.assert_array_equal(found.t_s, [row[0] for row in rows])
-    np.testing.assert_array_equal(found.latitude, [row[1] for row in rows])
-    np.testing.assert_array_equal(found.sigma_m, [2.0, 2.0, 2.0])
 
 
 def test_a_time_stamp_of_foxglove_is_the_time(tmp_path: Path) -> None:
