@@ -20,13 +20,11 @@ from tests.kits.processes import started
     [
         ("rn", "No command 'rn' (did you mean 'run'?)."),
         ("run", "Missing argument 'EXPERIMENT|LINES'."),
-        ("run x.yaml --filter stamp", "egolane run --help"),
         ("run x.yaml", "x.yaml: cannot be read: No such file or directory"),
         ("run quickstart --table x.csv --out", "--out"),
         ("run quickstart --table x.csv --chunk-frames 9", "--table: "),
         ("run {0}/lines.csv", "give the number of lanes"),
         ("run {0}/experiment.yaml --camera", "--camera"),
-        ("plot", "Missing argument 'RESULTS...'."),
         ("plot {0} --out=", "--out: is empty"),
         ("run {0}/experiment.yaml --out=", "--out: is empty"),
         ("run {0}/experiment.yaml --ground-truth=", "--ground-truth: is empty"),
