@@ -8,13 +8,13 @@ Left out of what is timed: fitting the arrays to the package's conventions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.types import Evidence, FloatArray
+from egolane_pgm.types import Evidence, FloatArray, IntArray
 
 Filter = Callable[[], FloatArray]
 

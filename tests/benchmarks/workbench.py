@@ -1,6 +1,7 @@
 """The gradient, EM and the search of edges, by others on the same networks.
 
-Compared are the gradient, the gain in log likelihood of each step, and BIC per frame with the edges.
+Compared are the gradient, the gain in log likelihood of each step, and BIC per frame with the
+edges.
 """
 
 from __future__ import annotations
