@@ -160,7 +160,9 @@ def real(recordings: Path) -> dict[str, Labels]:
     table = experiments_folder() / "paper" / "recordings.csv"
     given = table_inputs("zero_label", table)
     return {
-        each.experiment.name: label_input(each) for each in given if each.tags["detector"] != "mld"
+        each.experiment.name: label_input(each)
+        for each in given
+        if each.tags["detector"] in ("ml", "mc")
     }
 
 
