@@ -117,7 +117,7 @@ def test_a_pareto_front_is_printed_and_drawn(tmp_path: Path) -> None:
 def test_a_profile_is_printed_in_words(low: list[Any], out: list[bool], words: str) -> None:
     columns = {"value": [0.1, 0.2, 0.3], "difference": [1.0, 0.0, 1.0], "low": low}
     profile = pd.DataFrame({"parameter": "p1", **columns, "is_ruled_out": out})
-    assert profile_table(profile).rows == [["p1", "0.200", words]]
+    assert profile_table(profile, pd.DataFrame()).rows == [["p1", "0.200", words]]
 
 
 def test_a_directory_without_a_search_is_refused(tmp_path: Path, study: Study) -> None:
