@@ -257,9 +257,9 @@ def test_what_cannot_be_compared_is_refused(results: list[Result], tmp_path: Pat
 
 @needs_compiler
 def test_the_causal_model_finds_the_lane_changes_of_the_papers_runs(recordings: Path) -> None:
-    """Two detectors on either road; Spain counts before frame 9577."""
+    """A detector on either road; Spain counts before frame 9577."""
     scores = []
-    for number in (1, 3, 6, 9):
+    for number in (1, 9):
         paper = load_experiment(paper_experiment(number))
         model = load_experiment("zero_label").model_dump(exclude_unset=True)
         keys = {"recording", "ground_truth", "n_lanes", "name"}
@@ -270,6 +270,6 @@ def test_the_causal_model_finds_the_lane_changes_of_the_papers_runs(recordings: 
     right, false, missed = (
         sum(each["within"]["2"][key] for each in scores) for key in ("right", "false", "missed")
     )
-    assert right + missed == 2 * 109 + 2 * 34
+    assert right + missed == 109 + 34
     assert right / (right + false) >= 0.98
     assert right / (right + missed) >= 0.98

@@ -32,7 +32,7 @@ def test_the_page_on_graphs_shows_a_part_of_the_graph_that_it_names() -> None:
             assert "".join(line.split()) in squeezed, line
 
 
-def test_a_network_in_pgmpys_own_style_is_compiled_filtered_and_learned() -> None:
+def test_a_network_in_pgmpys_own_style_is_compiled_and_filtered() -> None:
     assert "egolane" not in TUTORIAL.read_text()
     with quiet():
         network = runpy.run_path(str(TUTORIAL))["network"]
@@ -42,23 +42,10 @@ def test_a_network_in_pgmpys_own_style_is_compiled_filtered_and_learned() -> Non
     beliefs = ego.filter_beliefs(compiled, run.evidence, "assumed_density")
     np.testing.assert_array_equal(beliefs.lane, run.node("Lane"))
     assert run.scores["model"]["accuracy"] > run.scores["detector"]["accuracy"]
-    # pgmpy's own answer to the first frame, the tables multiplied by name.
-    given = run.evidence.likelihoods
-    with quiet():
-        first = network.get_cpds(("DetectorOutput", 0))
-        values = {tuple(name): k for k, name in enumerate(first.variables)}
-        order = [values[name, 0] for name in ("Sensor", "Lane", "DetectorOutput")]
-        wor = network.get_cpds(("WOR", 0)).values.T @ given["WOR"][0]
-    seen = first.values.transpose(order) @ given["DetectorOutput"][0]
-    right = (seen * wor[:, None]).sum(axis=0)
-    lane = ego.filter_beliefs(compiled, run.evidence, "exact").lane[0]
-    np.testing.assert_allclose(lane, right / right.sum(), atol=1e-12)
-    fitted = ego.fit_tables(compiled, run.evidence, iterations=5)
-    assert np.all(np.diff(fitted.log_posterior) > 0)
 
 
 def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path) -> None:
-    words = [QUICKSTART, "--set", "recording.frames=[0, 600]"]
+    words = [QUICKSTART, "--set", "recording.frames=[0, 200]"]
     own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}", "--folds", 2]
     done("learn", *words, *own, "--out", tmp_path / "learned")
     learned = yaml.safe_load((tmp_path / "learned/best.graph.yaml").read_text())

@@ -58,19 +58,6 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not modules_after("import egolane_pgm; egolane_pgm.__version__") & HEAVY
 
 
-def test_imports_go_downwards_only() -> None:
-    """The contracts of pyproject.toml; `lint-imports` prints which import breaks one."""
-    ran = subprocess.run(
-        [sys.executable, "-c", "from importlinter.cli import lint_imports_command as c; c()"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert ran.returncode == 0, ran.stdout
-    assert "0 broken" in ran.stdout
-
-
 def test_a_run_does_not_import_pgmpy(tmp_path: Path) -> None:
     words = ["run", str(ROOT / "experiments" / "quickstart.yaml"), "--no-figures"]
     loaded = modules_after(

@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from egolane_pgm.drives import check_sources
 from egolane_pgm.experiment import Experiment, make_experiment, resolved
 from egolane_pgm.loading import IN_MEMORY, experiments_folder, load_experiment
-from egolane_pgm.model import compile_model
 from egolane_pgm.types import InputError
 from tests.kits.drives import write_drive
 
@@ -168,6 +167,7 @@ def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) ->
         ({"start_lane": [0, 0, 0]}, "start_lane: the lanes' probabilities are not negative, and"),
         ({"parameters": [0.3]}, "parameters: needs keys and values"),
         ({"recording.frame_rate": True}, "recording.frame_rate: takes neither true nor false"),
+        ({"n_lanes": 51}, "n_lanes: input should be less than or equal to 50"),
         ({"n_lanes": "map"}, "n_lanes: map needs a road table"),
         ({"road": "road.parquet"}, "n_lanes: a road table gives the number of lanes"),
         (
@@ -210,15 +210,6 @@ def test_what_is_no_experiment_is_refused(tmp_path: Path, given: Any, said: str)
         load_experiment(given)
     with pytest.raises(InputError, match=r"^experiment: unknown key 'lanes'"):
         load_experiment({**MINIMAL, "lanes": 3})
-
-
-def test_a_parameter_that_does_not_fit_is_named() -> None:
-    for wrong, said in (
-        ({"sigma1": -1, "sigm2": 0.3}, "unknown key 'sigm2' (did you mean 'sigma2'?)"),
-        ({"p3": [0.6, 0.7]}, "p3: has 2 values for 3 lanes"),
-    ):
-        with pytest.raises(InputError, match=re.escape(said)):
-            compile_model(made(graph="wor_on_lane", parameters=wrong))
 
 
 def test_sources_are_checked_without_reading_them(tmp_path: Path) -> None:

@@ -14,9 +14,8 @@ from egolane_pgm.model import (
     compile_model,
     make_evidence,
     matching_evidence_rule,
-    with_parameters,
 )
-from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.parameters import Value
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.types import InputError
 from tests.kits.drives import run, short_drive, simulated, write_drive
@@ -85,23 +84,6 @@ def test_a_default_of_its_own_holds_where_the_whole_drive_is_read() -> None:
 
     assert alpha(filter="smoothed") == 0.5 * alpha() > 0  # type: ignore[operator]
     assert alpha(filter="smoothed", **{"parameters.alpha": 0.035}) == alpha()
-
-
-@pytest.mark.parametrize("graph", ["sensor_failure", "no_wor", str(EXAMPLES / "my_graph.py")])
-def test_new_parameters_are_as_good_as_a_new_model(graph: str) -> None:
-    given = {"sigma1": 0.7, "sigma2": 0.2}
-    model, new = (
-        compile_model(load_experiment(simulated(), {"graph": graph, "parameters": parameters}))
-        for parameters in ({}, given)
-    )
-    specs = [*model.rule.parameters, *model.graph.parameters]
-    known = {spec.name for spec in specs}
-    given = {name: value for name, value in given.items() if name in known}
-    quick = with_parameters(model, resolve_parameters(specs, given, 4))
-    np.testing.assert_array_equal(quick.compiled.transition, new.compiled.transition)
-    assert (quick.compiled.transition != model.compiled.transition).any()
-    for mine, right in zip(quick.compiled.groups, new.compiled.groups, strict=True):
-        np.testing.assert_array_equal(mine.emission, right.emission)
 
 
 def test_a_model_is_pickled_with_its_plugins() -> None:

@@ -1,10 +1,11 @@
-"""The paper's 20 published confusion matrices and 100 printed scores, from its recordings."""
+"""The paper's 100 printed scores, from its recordings; test_frozen has the matrices."""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from egolane_pgm import paper as paper
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import Reproduced
+from egolane_pgm.recordings import topics
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, run, short_drive, write_drive
 from tests.reference import counting
@@ -33,9 +35,13 @@ TRUNCATION = 0.001
 #: Scores of the model that these parameters move past a second digit, up to the printed one.
 PUBLISHED_BELOW = {(2, "precision"), (2, "log_loss"), (3, "log_loss")}
 
-#: With those that a search found: two ties of run 10 and one of run 1 cannot be had in double
-#: precision with the tie rule.
-RECOVERED_AT_MOST = (1, 0, 0, 0, 0, 0, 0, 0, 0, 2)
+
+@pytest.fixture(scope="module", autouse=True)
+def read_once() -> Iterator[None]:
+    """Let each recording be read once, which takes longer than its run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(topics, "fields_of", cache(topics.fields_of))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -48,33 +54,11 @@ def published(recordings: Path) -> list[Reproduced]:
     return [paper.reproduce_run(number, "published") for number in RUNS]
 
 
-def assert_published_matrices(runs: Sequence[Reproduced]) -> None:
-    total = 0
-    for r, at_most in zip(runs, RECOVERED_AT_MOST, strict=True):
-        ours = r.run.scores
-        assert ours["detector"]["confusion"] == r.entry["detector_only"]["confusion"], r.number
-        if at_most == 0:
-            assert ours["model"]["confusion"] == r.entry["model"]["confusion"], r.number
-        assert r.detector_frames_off == 0
-        assert r.model_frames_off <= at_most, r.number
-        total += r.detector_frames_off + r.model_frames_off
-    assert total <= 3
-    assert (
-        sum(np.sum(r.run.scores[k]["confusion"]) for r in runs for k in ("detector", "model"))
-        == 156_028
-    )
-
-
 @needs_compiler
-def test_all_20_published_matrices_come_out_within_three_frames(
-    recovered: list[Reproduced],
+def test_plain_numpy_gives_the_same_on_the_first_and_the_last_run(
+    recordings: Path, recovered: list[Reproduced]
 ) -> None:
-    assert_published_matrices(recovered)
-
-
-@needs_compiler
-def test_plain_numpy_reproduces_the_same(recordings: Path, recovered: list[Reproduced]) -> None:
-    for ours in recovered:
+    for ours in recovered[::9]:
         found = ours.run
         [log] = found.lines.values()
         seen = counting.evidence(log, found.model.n_lanes, found.model.parameters)

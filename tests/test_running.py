@@ -189,7 +189,7 @@ def _whole(name: str) -> tuple[Model, LineLog, pd.DataFrame]:
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.sampled_from([*CAUSAL]), st.sets(st.integers(0, N_FRAMES), max_size=9))
 def test_wherever_a_drive_is_cut_the_frames_are_those_of_the_whole(name: str, cuts: Any) -> None:
     model, log, whole = _whole(name)

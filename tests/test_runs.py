@@ -195,11 +195,3 @@ def test_a_row_whose_file_has_changed_is_run_again(tmp_path: Path) -> None:
     lines = tmp_path / "lines.csv"
     lines.write_text("\n".join(lines.read_text().splitlines()[:-40]) + "\n")
     assert not summary(path, out)["was_there"].item()
-
-
-def test_a_row_that_fails_stops_no_other(tmp_path: Path) -> None:
-    text = 'name,recording.path,recording.frames\ngood,,"[0, 150]"\nabsent,nowhere.csv,\n'
-    found = summary(table(tmp_path, text), tmp_path / "out")
-    assert found["error"].isna().to_list() == [True, False]
-    assert "nowhere.csv: no such file" in found.loc["absent", "error"]
-    assert found.loc["good", "frames"] == 150

@@ -34,22 +34,18 @@ def step_of(frame_id: IntArray, time_s: FloatArray) -> float:
 
 
 def clock_warning(
-    source: str,
-    frame_id: IntArray,
-    time_s: FloatArray,
-    unit: str | None = None,
-    cure: str = "; if it is right, set recording.frame_rate",
+    source: str, frame_id: IntArray, time_s: FloatArray, unit: str | None = None
 ) -> list[str]:
     """A warning of times whose median step is not plausible, with the cure.
 
     - frame_id, time_s (T,): seconds. Dates since 1970 are in the right unit.
     - unit: the unit from which they were converted; None if it cannot be set.
-    - cure: advice for times that are right.
     """
     step_s = step_of(frame_id, time_s)
     low, high = STEP_S
     if np.isnan(step_s) or low <= step_s <= high:
         return []
+    cure = "; if it is right, set recording.frame_rate"
     right = None
     if unit is not None and time_s[0] < DATED_S:
         right = unit_of(step_s * PER_SECOND[unit], STEP_S)

@@ -19,11 +19,6 @@ HALF_CHANGE = 20
 MAX_FILLED = 1_000_000
 
 
-#: Frames without lines that are predicted after a gap as they come; the belief is then within 1e-5
-#: of its limit.
-MOST_PREDICTED = 10_000
-
-
 def select_frames(log: LineLog, first: int | None = None, stop: int | None = None) -> LineLog:
     """Take the frames with first <= frame id < stop; None leaves that side open.
 
@@ -86,8 +81,6 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
 def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: float) -> LineLog:
     """Fill in the frames that are missing in a log and before it; see `fill_missing`.
 
-    Of a long gap before it, only the last `MOST_PREDICTED` frames are predicted.
-
     - last: the frame before the log, if any.
 
     Raises InputError for frames that do not come after it.
@@ -100,10 +93,6 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
         )
     if policy == "skip":
         return log
-    gap = log.frame_id[0] - last.frame_id[0]
-    if policy == "predict" and MOST_PREDICTED < gap <= MAX_FILLED:
-        near = log.time_s[:1] - MOST_PREDICTED / frame_rate
-        last = replace(last, frame_id=log.frame_id[:1] - MOST_PREDICTED, time_s=near)
     return fill_missing(LineLog.concat([last, log]), policy, frame_rate).take(slice(1, None))
 
 

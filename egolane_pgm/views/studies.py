@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from egolane_pgm.studies.explore import Exploration
     from egolane_pgm.studies.study import Study
 
-#: Importances of fewer trials would be mostly chance.
-FEWEST = 20
-
 _DOTS = "#8aa9c0"
 
 
@@ -261,33 +258,6 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     return document, trials.sort_values("number", ignore_index=True)
 
 
-def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Importance of each parameter for reaching the best tenth of the trials (PED-ANOVA).
-
-    The most important one is first. Empty for too few trials, and if all have one score.
-    """
-    if len(trials) < FEWEST or np.ptp(trials["score"]) == 0:
-        return {}
-    import optuna
-
-    from egolane_pgm.studies.search import quiet
-
-    space: dict[str, Any] = {
-        name: optuna.distributions.CategoricalDistribution(ends)
-        if isinstance(ends[0], str)
-        else optuna.distributions.FloatDistribution(*ends)
-        for name, ends in settings["searched"].items()
-    }
-    with quiet():
-        is_up = SCORES[settings["objectives"][0]].is_maximised
-        study = optuna.create_study(direction="maximize" if is_up else "minimize")
-        for row in trials.to_dict("records"):
-            given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
-            study.add_trial(optuna.trial.create_trial(distributions=space, **given))
-        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-        return optuna.importance.get_param_importances(study, evaluator=evaluator)
-
-
 def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
     """Draw the score of each trial, the best so far, and the held-out score."""
     score, sign = _score(document)
@@ -323,8 +293,7 @@ def profile_figure(
     - posterior: of a fit to the labels; its intervals are bars below.
     """
     score, sign = _score(document)
-    importance = importances(trials, document["settings"])
-    names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
+    names = list(document["settings"]["searched"])
     best = trials.loc[(sign * trials["score"]).idxmax()]
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
@@ -359,14 +328,11 @@ def profile_figure(
             look = {"color": DETECTOR_COLOUR, "lw": 4, "alpha": 0.5, "solid_capstyle": "butt"}
             look |= {"label": "posterior, fit to the labels"}
             ax.plot(ends.astype(float), [low, low], **look)
-        share = f" ({100 * importance.get(name, 0):.0f} %)" if importance else ""
-        ax.set(xlabel=f"{name}{share}", ylim=(low, high))
+        ax.set(xlabel=name, ylim=(low, high))
     for ax in axes[:, 0]:
         ax.set_ylabel(f"{score.replace('_', ' ')} (in-sample)")
     entries = max((ax.get_legend_handles_labels() for ax in figure.axes), key=lambda e: len(e[1]))
-    note = "in brackets: importance for reaching the best tenth of the trials (PED-ANOVA)"
-    place: Any = {"loc": "outside lower left", "ncols": 3, "alignment": "left"}
-    figure.legend(*entries, title=note if importance else None, **place)
+    figure.legend(*entries, loc="outside lower left", ncols=3)
     return figure
 
 

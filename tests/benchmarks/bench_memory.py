@@ -2,9 +2,8 @@
 
 `python -m tests.benchmarks.bench_memory [FRAMES ...]` prints a table for drives of
 so many frames (10,000 and 100,000 by default; a day at 30 frames a second has 2,592,000). A drive
-is a simulated one over and over, with its ground truth, in a Parquet file that is itself written
-part after part. Each run is a process of its own, without figures; its peak is `VmHWM`, which
-Linux tells, less that of Python alone.
+is a simulated one with its ground truth. Each run is a process of its own, without figures; its
+peak is `VmHWM`, which Linux counts, less that of Python alone.
 """
 
 from __future__ import annotations
@@ -14,13 +13,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import pyarrow as pa
-from pyarrow import parquet
-
-from egolane_pgm.simulation import SimulatedDrive, simulate
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.simulation import simulate
 
 ROOT = Path(__file__).parents[2]
 N_LANES = 4
@@ -60,35 +57,13 @@ def memory_lines(lengths: Sequence[int] = LENGTHS) -> Iterator[str]:
                 yield f"| {n_frames:,} | {what} | {' | '.join(cells)} |"
 
 
-#: Without times: those of a lap begin anew.
-COLUMNS = ["frame_id", "line", "offset_m", "is_valid", "is_continuous", "lri"]
-
-
 def write_long_drive(folder: Path, n_frames: int) -> tuple[Path, Path]:
     """A recording of so many frames, and its ground truth."""
-    drive = simulate("quickstart", seed=1, frames=12_000, n_lanes=N_LANES)
+    drive = simulate("quickstart", seed=1, frames=n_frames, n_lanes=N_LANES)
     recording, truth = folder / "lines.parquet", folder / "truth.txt"
-    schema = pa.Table.from_pandas(
-        drive.log.to_pandas().reset_index()[COLUMNS], preserve_index=False
-    ).schema
-    writer = parquet.ParquetWriter(recording, schema)
-    with writer, truth.open("w", encoding="utf-8") as lines:
-        for lap in laps(drive, n_frames):
-            writer.write_table(
-                pa.Table.from_pandas(lap.log.to_pandas().reset_index()[COLUMNS], schema)
-            )
-            rows = lap.truth.astype(int).itertuples()
-            lines.writelines(f"{k};{lane};{crossing}\n" for k, lane, crossing in rows)
+    write_table(recording, drive.log)
+    write_ground_truth(truth, drive.truth)
     return recording, truth
-
-
-def laps(drive: SimulatedDrive, n_frames: int) -> Iterator[SimulatedDrive]:
-    """A drive again and again, so many frames in all, with ids that count them."""
-    for first in range(0, n_frames, len(drive.log)):
-        part = slice(0, n_frames - first)
-        log, truth = drive.log.take(part), drive.truth.iloc[part]
-        log = replace(log, frame_id=log.frame_id + first)
-        yield replace(drive, log=log, truth=truth.set_axis(truth.index + first))
 
 
 def peak(command: Sequence[str]) -> tuple[float, float]:

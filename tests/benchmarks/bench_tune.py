@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -18,9 +17,7 @@ import numpy as np
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.studies.fits import objective, search_space
-from egolane_pgm.studies.search import new_study, search
 from egolane_pgm.studies.space import Point, SearchSpace
-from egolane_pgm.studies.storage import open_storage
 from tests.kits.studies import drive_of, points_at, search_in_memory
 
 ROOT = Path(__file__).parents[2]
@@ -44,7 +41,7 @@ def load() -> Problem:
     return Problem(objective([drive], space, fit, [used], ["accuracy"]), space)
 
 
-def tune_lines(rounds: int = 3) -> Iterator[Line]:
+def tune_lines() -> Iterator[Line]:
     """(what, seconds per trial) of everything that is measured."""
     problem = load()
     score, space = problem.score, problem.search_space
@@ -52,9 +49,9 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
     for point in points:
         score(point)
 
-    def timed(run: Callable[[], object], trials: int, times: int = rounds) -> float:
+    def timed(run: Callable[[], object], trials: int) -> float:
         found = []
-        for _ in range(times):
+        for _ in range(3):
             begun = time.perf_counter()
             run()
             found.append((time.perf_counter() - begun) / trials)
@@ -66,27 +63,8 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
         settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=2000, seed=0)
         seconds = timed(lambda s=settings: search_in_memory(space, score, s), 2000)
         yield f"{sampler}, in memory, whole trial", seconds
-        for kept in ("journal", "SQLite"):
-            with tempfile.TemporaryDirectory() as folder:
-                is_journal = kept == "journal"
-                place = f"{folder}/study" if is_journal else f"sqlite:///{folder}/study.db"
-                trials = 1000 if is_journal else 100
-                run = _kept(
-                    problem,
-                    place,
-                    FitSettings(objective=("accuracy",), sampler=sampler, trials=trials, seed=0),
-                )
-                yield f"{sampler}, {kept}", timed(run, trials, 1)
     for sampler in ("tpe", "cma-es"):
         yield from _at(problem, sampler)
-
-
-def _kept(problem: Problem, place: str, settings: FitSettings) -> Callable[[], object]:
-    def run() -> None:
-        study = new_study(settings, storage=open_storage(place), study_name="bench")
-        search(study, problem.search_space, problem.score, settings)
-
-    return run
 
 
 def _at(problem: Problem, sampler: str) -> list[Line]:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,6 @@ from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.model import make_evidence
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.recordings import read_lines
 from egolane_pgm.runs import open_input
 from egolane_pgm.types import Evidence, LineLog
 
@@ -28,7 +25,7 @@ SIMULATED = {"recording": {"path": None, "frames": None, "simulate": "a4"}, "gro
 
 @dataclass(frozen=True)
 class Data:
-    """log, truth: T frames each. read: reads the recording from its file, None without one."""
+    """log, truth: T frames each."""
 
     log: LineLog
     truth: pd.DataFrame
@@ -36,12 +33,10 @@ class Data:
     evidence: Evidence
     compiled: Compiled
     source: str
-    read: Callable[[], LineLog] | None
 
 
 def load() -> Data:
-    bag = Path(os.environ.get("EGOLANE_DATA", "")) / BAG
-    has_bag = bag.exists()
+    has_bag = (Path(os.environ.get("EGOLANE_DATA", "")) / BAG).exists()
     [drive] = open_input(paper_experiment(1), overrides={} if has_bag else SIMULATED).drives()
     log, model = drive.log.take(drive.rows), drive.model
     lane, is_crossing = drive.true_lane[drive.rows], drive.is_crossing[drive.rows]
@@ -54,7 +49,6 @@ def load() -> Data:
         make_evidence(model, log)[0],
         model.compiled,
         f"{source}, {len(log)} frames",
-        partial(read_lines, bag) if has_bag else None,
     )
 
 

@@ -166,23 +166,6 @@ def dynamax_gradient(
     return lambda: np.concatenate([np.ravel(each) for each in made()()])
 
 
-def dynamax_paths(compiled: Compiled, evidence: Evidence, n: int) -> Callable[[], IntArray]:
-    """Paths of the posterior by dynamax, as joint states (n, T); compiled in the first call."""
-    emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
-    logs = np.log(state_likelihoods(emissions, blocks))
-
-    @cache
-    def draw() -> Callable[..., Any]:
-        import jax
-        from dynamax.hidden_markov_model import hmm_posterior_sample
-
-        given = compiled.prior[0], compiled.transition[0]
-        run = jax.jit(jax.vmap(lambda key: hmm_posterior_sample(key, *given, logs)[1]))
-        return partial(run, jax.random.split(jax.random.PRNGKey(0), n))
-
-    return lambda: np.asarray(draw()())
-
-
 def hmmlearn_chain(given: Sequence[FloatArray], **settings: Any) -> Any:
     """hmmlearn's model. given: of the first frame (S,), transition (S, S), emission (S, K)."""
     from hmmlearn.hmm import CategoricalHMM

@@ -18,7 +18,6 @@ from egolane_pgm.types import Evidence, FloatArray
 from tests.benchmarks import peers
 from tests.benchmarks.data import N_LANES, Data
 from tests.benchmarks.timing import Row, duel, take_turns
-from tests.reference.line_geometry import plain
 
 #: Frames that are stepped through one by one.
 STEPS = 2000
@@ -77,12 +76,8 @@ def evidence_rows(data: Data, position: Position, rounds: int) -> list[Row]:
         def ours(given: Parameters = given) -> FloatArray:
             return made(data, given).likelihoods[line_geometry.NODES]
 
-        def plain_numpy(given: Parameters = given) -> FloatArray:
-            with plain():
-                return ours(given)
-
-        what = f"line geometry evidence, lane width {width}"
-        rows.append(duel(what, ours, "plain NumPy", plain_numpy, len(data.log), min(rounds, 10)))
+        seconds = take_turns({"ours": ours}, min(rounds, 10))["ours"]
+        rows.append(Row(f"line geometry evidence, lane width {width}", seconds, len(data.log)))
     return rows
 
 

@@ -1,6 +1,7 @@
-"""Draws, paths of the posterior, EM and the search of edges, by others on the same networks.
+"""The gradient, EM and the search of edges, by others on the same networks.
 
-Compared are frequencies, the gain in log likelihood of each step, and BIC per frame with the edges.
+Compared are the gradient, the gain in log likelihood of each step, and BIC per frame with the
+edges.
 """
 
 from __future__ import annotations
@@ -13,20 +14,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, quiet, uniform, within
+from egolane_pgm.graphs.cpds import dynamics, previous, prior, quiet, uniform, within
 from egolane_pgm.inference.compile import Compiled, compile_tables
 from egolane_pgm.inference.gradient import log_loss_gradient
-from egolane_pgm.inference.sampling import drawn_paths, sample
+from egolane_pgm.inference.sampling import sample
 from egolane_pgm.runs import open_input
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.studies.explore import explore, make_problem
 from egolane_pgm.studies.structures import parse_edge, with_structure
-from egolane_pgm.types import Evidence, FloatArray, IntArray
+from egolane_pgm.types import Evidence, FloatArray
 from tests.benchmarks import peers
 from tests.benchmarks.data import Data
 from tests.benchmarks.timing import Row, duel
 
-FRAMES, SLICES, PATHS, STEPS = 10_000, 20, 100, 20
+FRAMES = 10_000
+STEPS = 20
 
 #: By parent and child; 0 is the frame before. The network that is drawn from has the first three.
 EDGES = {
@@ -42,53 +44,10 @@ Part = tuple[str, Callable[[], FloatArray], Mapping[str, Callable[[], FloatArray
 
 
 def workbench_rows(data: Data, rounds: int) -> Iterator[Row]:
-    for what, ours, others, frames in (drawing(data), paths(data), gradient(data), em(), search()):
+    for what, ours, others, frames in (gradient(data), em(), search()):
         for name, run in others.items():
             there = find_spec(name.split(",")[0].lower())
             yield duel(what, ours, name, run if there else None, frames, max(3, rounds // 8))
-
-
-def drawing(data: Data) -> Part:
-    """Frequencies of the joint values of the two observed nodes."""
-    compiled, simulate = data.compiled, declare(data.compiled.tables.values(), ()).simulate
-    output, wor = (group.emission for group in compiled.groups)
-    emission = (output[:, :, None] * wor[:, None, :]).reshape(compiled.n_states, -1)
-    given = compiled.prior[0], compiled.transition[0], emission
-
-    def shares(values: Any) -> FloatArray:
-        return np.bincount(np.ravel(values), minlength=emission.shape[1]) / np.size(values)
-
-    def ours() -> FloatArray:
-        drawn = sample(compiled, FRAMES, seed=0).apply(lambda column: column.cat.codes)
-        return shares(drawn["DetectorOutput"] * 2 + drawn["WOR"])
-
-    def by_hmmlearn() -> FloatArray:
-        return shares(peers.hmmlearn_chain(given).sample(FRAMES, random_state=0)[0])
-
-    def by_pgmpy() -> FloatArray:
-        with quiet():
-            drawn = simulate(FRAMES // SLICES, SLICES, seed=0, show_progress=False)
-        shown = (drawn[[(name, t) for t in range(SLICES)]] for name in ("DetectorOutput", "WOR"))
-        output, wor = (frames.to_numpy(int) for frames in shown)
-        return shares(output * 2 + wor)
-
-    others = {"hmmlearn": by_hmmlearn, f"pgmpy, drives of {SLICES} frames": by_pgmpy}
-    return f"{FRAMES:,} frames drawn from the network", ours, others, FRAMES
-
-
-def paths(data: Data) -> Part:
-    """The share of frames in each lane, and of lane changes."""
-    compiled, evidence = data.compiled, data.evidence
-
-    def shares(lane: IntArray) -> FloatArray:
-        return np.append(np.bincount(lane.ravel()) / lane.size, (np.diff(lane) != 0).mean())
-
-    def ours() -> FloatArray:
-        return shares(drawn_paths(compiled, evidence, PATHS, seed=0)["Lane"])
-
-    draw = peers.dynamax_paths(compiled, evidence, PATHS)
-    others = {"dynamax, jit of vmap": lambda: shares(compiled.node_value["Lane"][draw()])}
-    return f"{PATHS} paths of the posterior (FFBS)", ours, others, PATHS * len(evidence)
 
 
 def gradient(data: Data) -> Part:

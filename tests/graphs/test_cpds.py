@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 
 import numpy as np
@@ -22,12 +21,6 @@ from egolane_pgm.graphs.cpds import (
     within,
 )
 from egolane_pgm.types import InputError
-
-
-def test_a_row_is_the_normal_at_the_lane_centres_normalised() -> None:
-    rows = lane_normals(0.7, 4)
-    by_hand = [math.exp(-((x - 2) ** 2) / (2 * 0.7**2)) for x in (1, 2, 3, 4)]
-    np.testing.assert_allclose(rows[1], np.array(by_hand) / sum(by_hand), rtol=1e-13)
 
 
 @settings(max_examples=50, deadline=None)
@@ -83,19 +76,6 @@ def test_a_table_that_is_no_distribution_is_refused_naming_it(
     assert str(error.value).startswith(message)
 
 
-def test_the_helpers_place_their_tables_in_the_right_slices() -> None:
-    assert [t.node for t in prior("A", [0.5, 0.5])] == [("A", 0)]
-    (table,) = prior("B", np.full((2, 2), 0.5), ["A"])
-    assert (table.node, table.parents) == (("B", 0), (("A", 0),))
-    (table,) = dynamics("B", [previous("A"), "C"], np.full((2, 2, 2), 0.5))
-    assert (table.node, table.parents) == (("B", 1), (("A", 0), ("C", 1)))
-    both = within("D", ["A"], np.full((2, 2), 0.5))
-    assert [(t.node, t.parents) for t in both] == [
-        (("D", 0), (("A", 0),)),
-        (("D", 1), (("A", 1),)),
-    ]
-
-
 # --- declaration ---------------------------------------------------------------------------------
 
 KEEP = np.array([[0.9, 0.1], [0.2, 0.8]])
@@ -103,29 +83,6 @@ KEEP = np.array([[0.9, 0.1], [0.2, 0.8]])
 
 def persistent(name: str) -> list[Table]:
     return [*prior(name, [0.5, 0.5]), *dynamics(name, [previous(name)], KEEP)]
-
-
-def test_declared_tables_arrive_in_pgmpy_with_their_own_names_on_every_axis() -> None:
-    rng = np.random.default_rng(0)
-    sees = rng.dirichlet(np.ones(4), (2, 3))
-    tables = [
-        *persistent("A"),
-        *prior("B", uniform(3)),
-        *dynamics("B", [previous("B")], uniform(3, 3)),
-        *within("D", ["A", "B"], sees),
-    ]
-    network = declare(tables, ["D", ("B", "D")])
-    assert network.check_model()
-    for s in (0, 1):
-        cpd = next(c for c in network.cpds if tuple(c.variable) == ("D", s))
-        for a in range(2):
-            for b in range(3):
-                for d in range(4):
-                    given = {"A": a, "B": b, "D": d}
-                    index = tuple(given[v[0]] for v in cpd.variables)
-                    assert cpd.values[index] == sees[a, b, d]
-        ve = next(c for c in network.cpds if tuple(c.variable) == ("B+D_ve", s))
-        assert ve.cardinality.tolist() == [2, 3, 4]
 
 
 def test_a_node_whose_second_slice_has_no_edge_is_declared_all_the_same() -> None:

@@ -1,4 +1,4 @@
-"""A network of a user's own, all in memory: what was observed goes in, pgmpy's answers come out."""
+"""A network of a user's own, all in memory: observed values go in, beliefs and tables come out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.expected_counts import expected_counts
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
+from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.inference.unrolling import unrolled
 from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.studies.em import fit_tables
@@ -21,8 +21,7 @@ from egolane_pgm.types import Evidence, InputError
 
 with quiet():
     from pgmpy.factors.discrete import TabularCPD
-    from pgmpy.inference import VariableElimination
-    from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
+    from pgmpy.models import DynamicBayesianNetwork
 
 GEAR, COLD, RPM = ["low", "mid", "top"], [True, False], ["slow", "fast"]
 #: Rows are the node's own values, columns those of what it is given, the last one fastest.
@@ -73,61 +72,6 @@ def compiled(network: Any = None, **options: Any) -> Compiled:
 def evidence() -> Evidence:
     hard = Evidence.hard(ROWS, compiled())
     return Evidence({**hard.likelihoods, "Noise": np.array(HEARD)}, hard.inputs)
-
-
-def ask(network: Any, node: str, **given: Any) -> np.ndarray:
-    with quiet():
-        found: Any = VariableElimination(network).query([node], show_progress=False, **given)
-    return np.asarray(found.values)
-
-
-def ask_pgmpy(node: str, frame: int, last: int) -> np.ndarray:
-    """P(node in a frame | what was observed up to the last one), by pgmpy alone."""
-    with quiet():
-        network = DiscreteBayesianNetwork()
-        for t in range(last + 1):
-            gear, cold, rpm, noise = (f"{n}{t}" for n in ("Gear", "Cold", "Rpm", "Noise"))
-            gears, colds = ([f"Gear{t - 1}"], [f"Cold{t - 1}"]) if t else ([], [])
-            edges = [(gear, rpm), (cold, rpm), (rpm, noise)]
-            network.add_edges_from(
-                [*edges, *((g, gear) for g in gears), *((c, cold) for c in colds)]
-            )
-            hill = 3 * ROWS["Hill"][t]
-            moves = np.array(GEAR_NEXT)[:, hill : hill + 3] if t else GEAR_FIRST
-            network.add_cpds(
-                TabularCPD(gear, 3, moves, gears, [3] * len(gears)),
-                TabularCPD(cold, 2, COLD_NEXT if t else COLD_FIRST, colds, [2] * len(colds)),
-                TabularCPD(rpm, 2, RPM_GIVEN, [gear, cold], [3, 2]),
-                TabularCPD(noise, 2, NOISE, [rpm], [2]),
-            )
-        seen = {f"Rpm{t}": RPM.index(v) for t, v in enumerate(ROWS["Rpm"][: last + 1]) if v}
-        heard = [
-            TabularCPD(f"Noise{t}", 2, np.array(HEARD[t])[:, None] / sum(HEARD[t]))
-            for t in range(last + 1)
-        ]
-    return ask(network, f"{node}{frame}", evidence=seen, virtual_evidence=heard)
-
-
-def test_hard_soft_and_missing_evidence_give_pgmpy_s_beliefs() -> None:
-    filtered = filter_beliefs(compiled(), evidence())
-    lagged = fixed_lag_beliefs(compiled(), evidence(), 1)
-    smoothed = smooth_beliefs(compiled(), evidence())
-    for node in ("Gear", "Cold"):
-        for t in range(4):
-            for ours, last in ((filtered, t), (lagged, min(t + 1, 3)), (smoothed, 3)):
-                right = ask_pgmpy(node, t, last)
-                np.testing.assert_allclose(ours[node][t], right, rtol=0, atol=1e-12)
-
-
-def test_frames_with_their_evidence_give_the_same_answers() -> None:
-    filtered, smoothed = (f(compiled(), evidence()) for f in (filter_beliefs, smooth_beliefs))
-    whole, latest = (unrolled(compiled(), evidence(), first, 3) for first in (0, 2))
-    for node in ("Gear", "Cold"):
-        for t in range(4):
-            found = ask(whole.network, f"{node}@{t}", evidence=whole.given)
-            np.testing.assert_allclose(found, smoothed[node][t], rtol=0, atol=1e-12)
-        found = ask(latest.network, f"{node}@3", evidence=latest.given)
-        np.testing.assert_allclose(found, filtered[node][3], rtol=0, atol=1e-12)
 
 
 def test_what_was_learned_goes_back_to_pgmpy() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.inference.sampling import (
     drawn_paths,
     posterior_paths,
@@ -95,7 +94,7 @@ def test_what_is_predicted_ignores_the_evidence_of_its_frame(seed: int) -> None:
             np.testing.assert_allclose(found[name][t], right / right.sum(), atol=1e-9)
 
 
-def test_sequences_are_drawn_and_filtered_apart() -> None:
+def test_sequences_are_drawn_and_predicted_apart() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 40, np.random.default_rng(3), zeros=0)
     is_first = np.isin(np.arange(40), (0, 25))
@@ -106,10 +105,6 @@ def test_sequences_are_drawn_and_filtered_apart() -> None:
         np.testing.assert_allclose(share, alone.lane, atol=0.02)
         ours = predicted(compiled, evidence, is_first=is_first)["WOR"][part]
         np.testing.assert_array_equal(ours, predicted(compiled, evidence.take(part))["WOR"])
-        for method in METHODS:
-            ours = filter_beliefs(compiled, evidence, method, is_first=is_first).lane[part]
-            right = filter_beliefs(compiled, evidence.take(part), method).lane
-            np.testing.assert_array_equal(ours, right)
 
 
 def test_a_seed_gives_the_same_draws_and_another_seed_others() -> None:

@@ -30,7 +30,6 @@ from tests.conformance.networks import (
     frames_to_enumerate,
     graph,
     graph_names,
-    random_network,
     seeds,
     small_parameters,
     template,
@@ -68,16 +67,6 @@ def test_every_graph_agrees_with_adding_up_all_trajectories(name: str) -> None:
         assert_same_marginals(ours, right)
         if lag == n_frames - 1:
             assert_same_marginals(smooth_beliefs(compiled, evidence), right)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_random_networks_agree_with_adding_up_all_trajectories(seed: int) -> None:
-    drawn, compiled = random_network(seed)
-    n_frames = frames_to_enumerate(compiled)
-    evidence = draw_evidence(compiled, n_frames, np.random.default_rng(seed))
-    answers = enumerated_smoothing(drawn.tables, drawn.hidden, evidence, range(n_frames))
-    for lag, right in enumerate(answers):
-        assert_same_marginals(fixed_lag_beliefs(compiled, evidence, lag), right)
 
 
 # --- properties ----------------------------------------------------------------------------------
@@ -158,19 +147,6 @@ def test_where_nothing_moves_the_smoother_keeps_the_filtered_belief(
     right = reference.smooth(filtered, likelihood, still, index, n_frames)
     np.testing.assert_allclose(smoothed, right, rtol=1e-9)
     np.testing.assert_allclose(smoothed, filtered)
-
-
-def test_an_impossible_frame_is_flagged_and_its_evidence_ignored() -> None:
-    compiled = any_compiled(2)
-    evidence = draw_evidence(compiled, 6, np.random.default_rng(1), zeros=0)
-    without = {k: v.copy() for k, v in evidence.likelihoods.items()}
-    for key, values in evidence.likelihoods.items():
-        values[3] = 0
-        without[key][3] = 1
-    ours = smooth_beliefs(compiled, evidence)
-    right = smooth_beliefs(compiled, Evidence(without, evidence.inputs))
-    assert ours.is_impossible.tolist() == [False, False, False, True, False, False]
-    assert_same_marginals(ours, dict(right.marginals), 1e-12)
 
 
 def test_no_frames_give_no_beliefs_and_the_frame_ids_given_are_kept() -> None:

@@ -24,12 +24,12 @@ PLAIN_LINE = "bool isValid\nbool continuous\nint32 counter\nfloat32 offset\n"
 Line = tuple[bool, bool, int, float]
 
 
-def definition(body: str = PLAIN_BODY, line: str = PLAIN_LINE, package: str = "pkg") -> str:
-    return f"{body}\n{HEADER}\n{SEPARATOR}\nMSG: {package}/msg_lineInfo\n{line}"
+def definition(body: str = PLAIN_BODY) -> str:
+    return f"{body}\n{HEADER}\n{SEPARATOR}\nMSG: pkg/msg_lineInfo\n{PLAIN_LINE}"
 
 
-def plain_message(way_id: int, lines: list[Line], seq: int = 0, frame: bytes = b"rig") -> bytes:
-    raw = struct.pack("<IIII", seq, 0, 0, len(frame)) + frame
+def plain_message(way_id: int, lines: list[Line], seq: int = 0) -> bytes:
+    raw = struct.pack("<IIII", seq, 0, 0, 3) + b"rig"
     raw += struct.pack("<ddddqI", 0.0, 1.0, -1.0, 2.0, way_id, len(lines))
     return raw + b"".join(struct.pack("<??if", *line) for line in lines)
 
@@ -41,47 +41,34 @@ def write_bag(
     topic: str = TOPICS[0],
     text: str | None = None,
     msgtype: str = "pkg/msg/msg_lines",
-    stamps: list[int] | None = None,
-    chunk_bytes: int | None = None,
-    compression: str | None = None,
-    md5sum: str | None = None,
 ) -> Path:
-    """A ROS 1 bag. md5sum: of the definition, by default as ROS has it."""
+    """A ROS 1 bag."""
     from rosbags.rosbag1 import Writer
 
     text = text or definition()
-    writer = Writer(path)
-    if compression is not None:
-        writer.set_compression(Writer.CompressionFormat[compression])
-    with writer as bag:
-        if chunk_bytes is not None:
-            bag.chunk_threshold = chunk_bytes
-        known = md5sum or _store(text, msgtype).generate_msgdef(msgtype)[1]
+    with Writer(path) as bag:
+        known = _store(text, msgtype).generate_msgdef(msgtype)[1]
         connection = bag.add_connection(topic, msgtype, msgdef=text, md5sum=known)
         for k, raw in enumerate(messages):
-            bag.write(connection, stamps[k] if stamps else k, raw)
+            bag.write(connection, k, raw)
     return path
 
 
 def _store(text: str, msgtype: str) -> Any:
-    """The message types that a definition has, in .msg or in IDL."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    """The message types that a definition has."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.EMPTY)
-    if text.startswith(f"{SEPARATOR}\nIDL: "):
-        parts = [part.partition("\n")[2] for part in text.split(f"{SEPARATOR}\n")[1:]]
-        store.register({k: v for part in parts for k, v in get_types_from_idl(part).items()})
-    else:
-        store.register(get_types_from_msg(text, msgtype))
+    store.register(get_types_from_msg(text, msgtype))
     return store
 
 
-#: Six frames that nobody could complain about.
-GOOD: list[list[Line]] = [[(True, True, 8, -5.0), (True, False, 9, 1.7)] for _ in range(6)]
+#: A frame that nobody could complain about.
+GOOD: list[Line] = [(True, True, 8, -5.0), (True, False, 9, 1.7)]
 
 
 def line_bag(path: Path, ids: list[int], lines: list[list[Line]] | None = None) -> Path:
-    chosen = lines or [GOOD[0]] * len(ids)
+    chosen = lines or [GOOD] * len(ids)
     raw = [plain_message(i, ls, seq=k) for k, (i, ls) in enumerate(zip(ids, chosen, strict=True))]
     return write_bag(path, raw)
 
@@ -96,48 +83,52 @@ def write_bag2(
     log: LineLog,
     *,
     storage: str = "SQLITE3",
-    topic: str = TOPICS[0],
     stamps: list[int] | None = None,
-    text: str | None = None,
     msgtype: str = LINES_TYPE_2,
 ) -> Path:
     """A ROS 2 bag of lines, of the messages of an MCAP file that `write_rosbag` made; stamps: when
-    they were recorded, ns; text: another definition, which the messages need not fit."""
+    they were recorded, ns."""
     from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
     file = folder.with_name(f"{folder.name}-first.mcap")
     write_rosbag(file, log)
     with Reader(file) as made:
         messages = [(ns, raw) for _, ns, raw in made.messages(made.connections)]
-        definition = made.connections[0].msgdef.data if text is None else text
+        definition = made.connections[0].msgdef.data
     file.unlink()
     with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as bag:
         known = _store(definition, msgtype).hash_rihs01(msgtype)
-        connection = bag.add_connection(topic, msgtype, msgdef=definition, rihs01=known)
+        connection = bag.add_connection(TOPICS[0], msgtype, msgdef=definition, rihs01=known)
         for k, (ns, raw) in enumerate(messages):
             bag.write(connection, ns if stamps is None else stamps[k], raw)
     return folder
 
 
-def write_fixes2(folder: Path, rows: list[tuple[float, float, float]], status: int = 0) -> Path:
-    """A ROS 2 bag of sensor_msgs/NavSatFix. rows: seconds, latitude, longitude."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
+def write_fixes(path: Path, rows: list[tuple[float, float, float]], no_fix: int = -1) -> Path:
+    """A bag (.bag: of ROS 1) of sensor_msgs/NavSatFix.
+
+    - rows: seconds, latitude, longitude
+    - no_fix: the row whose status is that of no fix, if any
+    """
+    from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    is_ros1 = path.suffix == ".bag"
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    serialised = store.serialize_ros1 if is_ros1 else store.serialize_cdr
     types, name = store.types, "sensor_msgs/msg/NavSatFix"
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+    with rosbag1.Writer(path) if is_ros1 else rosbag2.Writer(path, version=9) as bag:
         connection = bag.add_connection("/gps/fix", name, typestore=store)
-        for seconds, latitude, longitude in rows:
+        for k, (seconds, latitude, longitude) in enumerate(rows):
             stamp = types["builtin_interfaces/msg/Time"](int(seconds), int(seconds % 1 * 1e9))
             fix = types[name](
-                types["std_msgs/msg/Header"](stamp, "gps"),
-                types["sensor_msgs/msg/NavSatStatus"](status, 1),
+                types["std_msgs/msg/Header"](*([k] if is_ros1 else []), stamp, "gps"),
+                types["sensor_msgs/msg/NavSatStatus"](-1 if k == no_fix else 0, 1),
                 latitude,
                 longitude,
                 0.0,
                 np.array([4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0]),
                 2,
             )
-            bag.write(connection, 1, store.serialize_cdr(fix, name))
-    return folder
+            bag.write(connection, k + 1, bytes(serialised(fix, name)))
+    return path

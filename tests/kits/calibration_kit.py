@@ -93,10 +93,16 @@ def draw_board(camera: Camera, turn, place):
     return cv2.cvtColor(cv2.GaussianBlur(grey, (0, 0), 0.8), cv2.COLOR_GRAY2BGR)
 
 
+@cache
+def _road(camera: Camera):
+    """The place on the road of each pixel."""
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
+    return image_to_road(camera, u, v)
+
+
 def draw_road(camera: Camera, offsets, heading=0.0, seed=0):
     """A grey road with bright markings, dashed but for the outer ones, under a dark sky."""
-    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
-    x, y = image_to_road(camera, u, v)
+    x, y = _road(camera)
     paint = np.zeros(x.shape, dtype=bool)
     with np.errstate(invalid="ignore"):
         for k, offset in enumerate(offsets):

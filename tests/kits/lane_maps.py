@@ -62,23 +62,20 @@ def random_trip(
     graph: LaneGraph,
     rng: np.random.Generator,
     *,
-    speed: float = 30.0,
-    noise_m: float = 3.0,
-    lane_m: float = 3.0,
     longest_m: float = 30_000.0,
 ) -> tuple[Positions, IntArray]:
-    """Positions once a second on a random way along the joins, and the segment of each.
+    """Positions once a second, at 30 m/s, on a random way along the joins, and the segment of each.
 
-    The noise is half white and half slow, as a receiver's; lane_m is the standard deviation of the
-    lane's offset from the way's line.
-    """  # fmt: skip
+    The noise (3 m) is half white and half slow, as a receiver's; the standard deviation of the
+    lane's offset from the way's line is 3 m.
+    """
     joins = graph.join_start
     way = [int(rng.choice(len(graph), p=graph.length_m / graph.length_m.sum()))]
     while graph.length_m[way].sum() < longest_m and joins[way[-1]] < joins[way[-1] + 1]:
         row = rng.integers(joins[way[-1]], joins[way[-1] + 1])
         way.append(int(graph.after[row]))
     start = np.concatenate([[0.0], np.cumsum(graph.length_m[way])])
-    driven = np.arange(rng.uniform(0.0, start[1]), start[-1], speed)
+    driven = np.arange(rng.uniform(0.0, start[1]), start[-1], 30.0)
     at = np.minimum(np.searchsorted(start, driven, side="right") - 1, len(way) - 1)
     segment = np.array(way)[at]
     place = np.stack(
@@ -87,9 +84,9 @@ def random_trip(
     heading = np.gradient(place, axis=0) if len(place) > 1 else np.ones_like(place)
     right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
     right /= np.linalg.norm(right, axis=1, keepdims=True) + 1e-9
-    place += right * slow(rng, len(place), 60)[:, None] * lane_m
+    place += right * slow(rng, len(place), 60)[:, None] * 3.0
     drift = np.stack([slow(rng, len(place), 30) for _ in range(2)], axis=1)
-    place += noise_m * np.sqrt(0.5) * (drift + rng.normal(size=place.shape))
+    place += 3.0 * np.sqrt(0.5) * (drift + rng.normal(size=place.shape))
     latitude, longitude = graph.plane.degrees(place).T
     return Positions.make(np.arange(len(place)) * 1.0, latitude, longitude), segment
 

@@ -23,12 +23,16 @@ QUIET = {
 }
 
 
-#: The searches of a notebook, and shorter ones for a test.
-SHORTER = (('"trials": 150', '"trials": 25'), ('"fit.trials": 100', '"fit.trials": 12'))
+#: The searches and drives of a notebook, and shorter ones for a test.
+SHORTER = (
+    ('"trials": 150', '"trials": 25'),
+    ('"fit.trials": 100', '"fit.trials": 12'),
+    ("[0, 5000]", "[0, 1600]"),
+)
 
 
 def shorter(source: str) -> str:
-    """The code of a cell with short searches."""
+    """The code of a cell with short searches and drives."""
     for long, short in SHORTER:
         source = source.replace(long, short)
     return source

@@ -53,12 +53,10 @@ RUN = {
 }
 
 
-def frames_of(
-    ids: Any, lane: Any, detector: Any, truth: Any, crossing: Any, rate: float = 10.0
-) -> pd.DataFrame:
+def frames_of(ids: Any, lane: Any, detector: Any, truth: Any, crossing: Any) -> pd.DataFrame:
     """A table of frames. truth (T,): 0 where it is unknown; detector: None for no own answer."""
     lane, known = np.asarray(lane), np.asarray(truth) > 0
-    columns: dict[str, Any] = {"time_s": np.asarray(ids) / rate}
+    columns: dict[str, Any] = {"time_s": np.asarray(ids) / 10.0}
     columns |= {f"Lane_{k}": column for k, column in enumerate(lane.T, start=1)}
     columns["assigned_lane"] = assigned_lane(lane)
     if detector is not None:

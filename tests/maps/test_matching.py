@@ -18,7 +18,6 @@ from egolane_pgm.maps.positions import Positions
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.lane_maps import PLANE, interchange, lane_map, random_trip
 from tests.reference.matching import enumerated, nearest_by_hand
-from tests.reference.nearest_road import lock_on_road
 
 
 @pytest.fixture(scope="module")
@@ -162,16 +161,6 @@ def test_online_knows_the_past_only(graph: LaneGraph) -> None:
     shorter = locate(graph, part, online=True)
     for name in ("segment", "along_m", "offset_m", "sure", "n_lanes"):
         np.testing.assert_array_equal(getattr(shorter, name), getattr(whole, name)[:n])
-
-
-def test_the_baseline_takes_the_nearest_road_whose_heading_fits(graph: LaneGraph) -> None:
-    found = lock_on_road(graph, drive(EASTWARD[:60], 1.0))
-    assert (found.segment[1:] == 0).all()
-    np.testing.assert_allclose(found.offset_m[1:], -1.0, atol=0.01)
-    far = lock_on_road(graph, drive(EASTWARD[:60], 150.0))
-    # It has no state for being off the map within its last radius.
-    assert (far.segment >= 0).all()
-    assert (lock_on_road(graph, drive(EASTWARD[:60], 300.0)).segment == -1).all()
 
 
 @pytest.mark.parametrize(

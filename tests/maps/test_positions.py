@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import warnings
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 
 from egolane_pgm.maps.positions import Positions, read_positions
 from egolane_pgm.types import InputError
-from tests.kits.bags import HEADER, SEPARATOR, write_bag
+from tests.kits.bags import line_bag, write_fixes
 
 GPX = """<?xml version="1.0"?>
 <gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
@@ -22,23 +21,6 @@ GPX = """<?xml version="1.0"?>
 """
 #: 2024-05-01 10:00:00 UTC.
 TEN = 1714557600.0
-
-FIX_MESSAGE = (
-    "Header header\nNavSatStatus status\nfloat64 latitude\nfloat64 longitude\nfloat64 altitude\n"
-    f"float64[9] position_covariance\nuint8 position_covariance_type\n\n{HEADER}\n{SEPARATOR}\n"
-    "MSG: sensor_msgs/NavSatStatus\nint8 status\nuint16 service\n"
-)
-
-
-def fix(seconds: int, latitude: float, longitude: float, status: int = 0) -> bytes:
-    raw = struct.pack("<IIII", 0, seconds, 500_000_000, 3) + b"gps" + struct.pack("<bH", status, 1)
-    covariance = [4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0]
-    return raw + struct.pack("<3d9dB", latitude, longitude, 100.0, *covariance, 2)
-
-
-def fix_bag(path: Path, fixes: list[bytes]) -> Path:
-    kind = "sensor_msgs/msg/NavSatFix"
-    return write_bag(path, fixes, topic="/gps/fix", text=FIX_MESSAGE, msgtype=kind)
 
 
 def write(path: Path, text: str) -> Path:
@@ -81,17 +63,17 @@ def test_gpx_is_read_and_a_point_without_a_time_is_left_out(
     np.testing.assert_array_equal(found.sigma_m, [np.nan, 4.5])
 
 
-def test_a_bag_is_read_and_fixes_without_status_are_left_out(tmp_path: Path) -> None:
-    fixes = [fix(10, 49.9, 11.5), fix(11, 0.0, 0.0, status=-1), fix(12, 49.91, 11.5)]
+@pytest.mark.parametrize("name", ["a.bag", "bag"])
+def test_a_bag_is_read_and_fixes_without_status_are_left_out(tmp_path: Path, name: str) -> None:
+    rows = [(10.5, 49.9, 11.5), (11.5, 0.0, 0.0), (12.5, 49.91, 11.5)]
     with pytest.warns(UserWarning, match="left out 1 of 3 positions without a fix"):
-        found = read_positions(fix_bag(tmp_path / "a.bag", fixes))
+        found = read_positions(write_fixes(tmp_path / name, rows, no_fix=1))
     assert found.t_s.tolist() == [10.5, 12.5]
+    assert found.latitude.tolist() == [49.9, 49.91]
     assert found.sigma_m.tolist() == [2.0, 2.0]
 
 
 def test_a_bag_without_positions_is_refused(tmp_path: Path) -> None:
-    from tests.kits.bags import line_bag
-
     bag = line_bag(tmp_path / "a.bag", [1, 2])
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(bag)

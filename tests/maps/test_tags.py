@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.maps.tags import KEYS, read_lanes
@@ -49,6 +49,7 @@ def test_an_impossible_number_of_lanes_is_unknown_and_reported(lanes: str) -> No
     assert problems == [f"lanes={lanes} is not a number from 1 to 30"]
 
 
+@settings(max_examples=30)
 @given(
     st.lists(
         st.one_of(

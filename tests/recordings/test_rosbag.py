@@ -15,19 +15,16 @@ from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines
 from egolane_pgm.recordings.topics import messages
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
-    PLAIN_LINE,
     Line,
     definition,
     plain_message,
     write_bag,
     write_bag2,
-    write_fixes2,
 )
 from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import json_mcap
@@ -41,26 +38,6 @@ LINES: list[list[Line]] = [
     [],
     [(True, True, 10, 1.5), (False, False, -2147483648, float("nan")), (True, False, 3, 5.25)],
 ]
-
-
-def test_a_bag_is_read_into_padded_arrays(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "a.bag", [plain_message(k + 4, ls) for k, ls in enumerate(LINES)])
-    log = read_lines(bag, frame_rate=5.0)
-    nan = np.nan
-    np.testing.assert_array_equal(log.frame_id, [4, 5, 6])
-    np.testing.assert_array_equal(log.time_s, [0.8, 1.0, 1.2])
-    np.testing.assert_array_equal(
-        log.offset_m, [[-1.75, float(np.float32(3e32)), nan], [nan] * 3, [1.5, nan, 5.25]]
-    )
-    np.testing.assert_array_equal(
-        log.is_valid, [[True, False, False], [False] * 3, [True, False, True]]
-    )
-    np.testing.assert_array_equal(
-        log.is_continuous, [[False, True, False], [False] * 3, [True, False, False]]
-    )
-    np.testing.assert_array_equal(log.lri, [[7, -1, nan], [nan] * 3, [10, -2147483648, 3]])
-    assert not log.is_missing.any()
-    assert log.source == str(bag)
 
 
 def refused(path: Path, **options: object) -> str:
@@ -79,8 +56,8 @@ def of_ids(*ids: int) -> Callable[[Path], object]:
     return lambda path: write_bag(path, [plain_message(k, LINES[0]) for k in ids])
 
 
-def of_type(body: str, line: str = PLAIN_LINE) -> Callable[[Path], object]:
-    return lambda path: write_bag(path, [b"\0" * 80], text=definition(body, line))
+def of_type(body: str) -> Callable[[Path], object]:
+    return lambda path: write_bag(path, [b"\0" * 80], text=definition(body))
 
 
 def of_bytes(content: bytes) -> Callable[[Path], object]:
@@ -113,11 +90,6 @@ def killed(path: Path) -> None:
             "no column offset_m; the table has time_s, way, rest",
         ),
         (lambda path: write_bag(path, [GOOD_MESSAGE, b""]), {}, "cannot be read as a bag ("),
-        (
-            of_ids(0, 0, 0),
-            {},
-            "row 2: its frame has this line twice; `columns: {frame_id: null}` numbers frames by",
-        ),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
 )
@@ -268,15 +240,6 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     np.testing.assert_array_equal(found, np.arange(60))
     message = refused(bag, columns=Columns(frame_id="header.seq"))
     assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in message
-
-
-def test_positions_are_read_from_ros1_and_ros2_alike(tmp_path: Path) -> None:
-    rows = [(START_S + k, 51.1 + k * 1e-4, 14.4) for k in range(3)]
-    bag = write_fixes2(tmp_path / "bag", rows)
-    found = read_positions(bag)
-    np.testing.assert_array_equal(found.t_s, [row[0] for row in rows])
-    np.testing.assert_array_equal(found.latitude, [row[1] for row in rows])
-    np.testing.assert_array_equal(found.sigma_m, [2.0, 2.0, 2.0])
 
 
 def test_a_time_stamp_of_foxglove_is_the_time(tmp_path: Path) -> None:

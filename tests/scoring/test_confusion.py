@@ -23,20 +23,6 @@ from egolane_pgm.types import TIE_TOLERANCE
 PUBLISHED = Path(__file__).parents[2] / "experiments" / "paper" / "published.yaml"
 
 
-@st.composite
-def drives(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    """assigned, lane, is_crossing, n_lanes of a short random drive, empty ones included."""
-    n = draw(st.integers(1, 5))
-    size = draw(st.integers(0, 40))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    return (
-        rng.integers(0, n + 1, size),
-        rng.integers(1, n + 1, size),
-        rng.random(size) < draw(st.sampled_from([0.0, 0.3, 1.0])),
-        n,
-    )
-
-
 @pytest.mark.parametrize(
     ("belief", "lanes"),
     [
@@ -49,35 +35,6 @@ def drives(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
 )
 def test_the_most_probable_lane_is_assigned(belief: Any, lanes: list[int]) -> None:
     assert assigned_lane(belief).tolist() == lanes
-
-
-@given(drives())
-def test_the_scores_equal_those_of_plain_loops(
-    drive: tuple[np.ndarray, np.ndarray, np.ndarray, int],
-) -> None:
-    assigned, lane, is_crossing, n = drive
-    scored = [(a, b) for a, b, c in zip(assigned, lane, is_crossing, strict=True) if not c]
-    scores = scores_from_confusion(confusion(assigned, lane, is_crossing, n))
-    for k in range(1, n + 1):
-        right = sum(a == b == k for a, b in scored)
-        predicted = sum(a == k for a, _ in scored)
-        actual = sum(b == k for _, b in scored)
-        p = right / predicted if predicted else 0.0
-        r = right / actual if actual else 0.0
-        expected = {"precision": p, "recall": r, "f1": 2 * p * r / (p + r) if p + r else 0.0}
-        found = {name: values[k - 1] for name, values in scores["per_lane"].items()}
-        assert found == pytest.approx(expected)
-    n_right = sum(a == b for a, b in scored)
-    assert scores["accuracy"] == pytest.approx(n_right / len(scored) if scored else 0.0)
-    answered = sum(a != 0 for a, _ in scored)
-    assert scores["coverage"] == pytest.approx(answered / len(scored) if scored else 0.0)
-
-
-def test_many_matrices_at_once_score_as_one_by_one() -> None:
-    matrices = np.random.default_rng(5).integers(0, 4, size=(6, 4, 3))
-    found, each = scores_from_confusion(matrices), [scores_from_confusion(m) for m in matrices]
-    for name in ("accuracy", "precision", "recall", "f1", "coverage"):
-        np.testing.assert_array_equal(found[name], [one[name] for one in each])
 
 
 def test_frames_off_is_half_the_cell_differences_rounded_up() -> None:

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from egolane_pgm.scoring.confusion import (
     assigned_lane,
     confusion,
-    log_loss_per_frame,
     scores_from_confusion,
 )
 from egolane_pgm.scoring.scores import SCORES, Answers, Score, calibration_curve
@@ -183,11 +182,6 @@ def test_a_drive_of_fewer_lanes_can_be_added_to_one_of_more(score: Score) -> Non
 # --- by hand -------------------------------------------------------------------------------------
 
 
-def test_a_lane_held_impossible_costs_the_log_of_the_smallest_probability() -> None:
-    assert log_loss_per_frame([[0.0, 1.0]], [1]) == pytest.approx([15 * math.log(10)])
-    assert log_loss_per_frame([[0.0, 1.0]], [2]) == pytest.approx([0])
-
-
 def test_calibration_error_of_two_bins_is_the_one_worked_out_by_hand() -> None:
     # (13 / 15, 14 / 15]: 0.88 and 0.9 right, 0.92 wrong; (14 / 15, 1]: 0.98 right, 1.0 wrong.
     answers = answers_of([[p, 1 - p] for p in (0.88, 0.9, 0.92, 0.98, 1.0)], [1, 1, 2, 1, 2])
@@ -204,49 +198,6 @@ def test_calibration_error_of_two_bins_is_the_one_worked_out_by_hand() -> None:
 def test_a_tie_counts_as_wrong_in_the_calibration_whichever_lane_is_true(lane: int) -> None:
     curve = calibration_curve(answers_of([[0.5, 0.5]], [lane]))
     assert curve["accuracy"][curve["count"] > 0].tolist() == [0]
-
-
-@pytest.mark.parametrize(
-    ("belief", "lane", "expected"),
-    [
-        # Two of three frames right; 0.9, 0.2 and 0.6 for the true lane.
-        (
-            [[0.9, 0.1], [0.8, 0.2], [0.4, 0.6]],
-            [1, 2, 2],
-            {
-                "accuracy": 2 / 3,
-                "precision": (1 / 2 + 1) / 2,
-                "recall": (1 + 1 / 2) / 2,
-                "f1": 2 / 3,
-                "coverage": 1,
-                "brier": (0.02 + 1.28 + 0.32) / 3,
-                "log_loss": -math.log(0.9 * 0.2 * 0.6) / 3,
-                # One pair with the same true lane, and another answer.
-                "false_switches_per_minute": RATE * 60,
-            },
-        ),
-        # Sure and right, and a tie.
-        (
-            [[1, 0], [0.5, 0.5]],
-            [1, 1],
-            {
-                "accuracy": 1 / 2,
-                "precision": 1 / 2,
-                "recall": 1 / 4,
-                "f1": 1 / 3,
-                "coverage": 1 / 2,
-                "brier": 1 / 4,
-                "log_loss": math.log(2) / 2,
-                "expected_calibration_error": 1 / 4,
-                "false_switches_per_minute": RATE * 60,
-            },
-        ),
-    ],
-    ids=["two of three", "tie"],
-)
-def test_scores_by_hand(belief: Any, lane: Any, expected: dict[str, float]) -> None:
-    answers = answers_of(belief, lane)
-    assert {name: SCORES[name].of(answers) for name in expected} == pytest.approx(expected)
 
 
 def test_without_a_frame_to_score_the_scores_are_nan_and_not_perfect() -> None:

@@ -18,7 +18,6 @@ from egolane_pgm.scoring.confusion import SMALLEST_PROBABILITY
 from egolane_pgm.scoring.events import (
     Reported,
     answer_delays,
-    false_switches,
     lane_changes,
     score_events,
     stability_scores,
@@ -60,23 +59,6 @@ def drives(draw: st.DrawFn) -> Drive:
     return assigned, lane_truth(frame_id, stretches(1, n, 20), stretches(0, 3, 6) == 0)
 
 
-@pytest.mark.parametrize(
-    ("assigned", "lane", "flags", "switches", "counted"),
-    [
-        # Rows 2 and 3 switch falsely, row 5 goes with the truth.
-        ("112112", "111112", "......", [2, 3], [1, 2, 3, 4]),
-        # Switches in, into and out of a crossing are not counted.
-        ("112123", "111111", "..xx..", [5], [1, 5]),
-    ],
-)
-def test_false_switches(
-    assigned: str, lane: str, flags: str, switches: list[int], counted: list[int]
-) -> None:
-    is_false, is_counted = false_switches(digits(assigned), digits(lane), crossing(flags))
-    assert np.flatnonzero(is_false).tolist() == switches
-    assert np.flatnonzero(is_counted).tolist() == counted
-
-
 def test_the_rate_is_per_minute_of_consecutive_frames() -> None:
     # 600 pairs of frames at 10 per second are one minute; two false switches in it.
     truth = lane_truth(np.arange(601), np.ones(601), np.zeros(601))
@@ -88,19 +70,6 @@ def test_the_rate_is_per_minute_of_consecutive_frames() -> None:
     # A second drive adds its minute; the pair of frames between the drives is not counted.
     found = stability_scores([(assigned, truth), (assigned + 1, truth)], 10)
     assert found["false_switches_per_minute"] == pytest.approx(2)
-
-
-def test_lane_changes_are_found_with_and_without_a_flag_and_aborted_ones_are_not() -> None:
-    # A crossing before the first scored row, an aborted one, a change with a crossing (label of it
-    # ignored), a change without a flag, a crossing at the end.
-    changes = lane_changes(truth_of("2 11 222 11 33 2 2 3 1", "x .. xxx .. xx . . . x"))
-    assert changes.to_dict("list") == {
-        "start": [8, 12],
-        "end": [10, 12],
-        "until": [12, 13],
-        "from_lane": [1, 2],
-        "to_lane": [2, 3],
-    }
 
 
 @pytest.mark.parametrize(
@@ -131,12 +100,6 @@ def test_the_delay_of_lane_changes(
     truth = truth_of(lane, flags)
     found = answer_delays(digits(assigned), truth, lane_changes(truth))
     assert [None if math.isnan(d) else d for d in found] == expected
-
-
-def test_missing_frame_ids_count_as_the_time_they_are() -> None:
-    ids = np.array([1, 2, 3, 4, 15, 16, 17, 18, 19, 20])
-    truth = lane_truth(ids, digits("11 1 2222222"), crossing(".. x ......."))
-    assert answer_delays(digits("11 1 1122222"), truth, lane_changes(truth)).tolist() == [12]
 
 
 def test_median_and_percentile_are_of_the_changes_that_were_not_missed() -> None:

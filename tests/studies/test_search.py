@@ -30,14 +30,14 @@ def complete(study: optuna.Study) -> list[Any]:
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_the_same_seed_gives_the_same_study_and_another_one_another(sampler: str) -> None:
-    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=40, seed=3)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=12, seed=3)
     first = tried(search_in_memory(SPACE, bowl, settings).trials)
     assert tried(search_in_memory(SPACE, bowl, settings).trials) == first
     assert (
         tried(search_in_memory(SPACE, bowl, settings.model_copy(update={"seed": 4})).trials)
         != first
     )
-    assert len(first) == 40
+    assert len(first) == 12
 
 
 @pytest.mark.parametrize("stops", [(0,), (29,), (30,), (7, 77, 199)])

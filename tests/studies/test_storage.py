@@ -6,8 +6,6 @@ from pathlib import Path
 
 import optuna
 import pytest
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
 
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.studies.search import new_study, search
@@ -26,26 +24,12 @@ def study_in(storage: str, trials: int = 30) -> optuna.Study:
     return new_study(settings(trials), storage=open_storage(storage), study_name="drive")
 
 
-@pytest.mark.parametrize("name", [JOURNAL_NAME, "study.db"])
-def test_a_study_goes_on_to_a_larger_total_as_if_it_had_not_stopped(
-    name: str, tmp_path: Path
-) -> None:
-    storage = f"sqlite:///{tmp_path}/{name}" if name.endswith("db") else str(tmp_path / name)
+def test_a_study_goes_on_to_a_larger_total_as_if_it_had_not_stopped(tmp_path: Path) -> None:
+    storage = str(tmp_path / JOURNAL_NAME)
     whole = tried(search_in_memory(SPACE, bowl, settings(40)).trials)
     for trials in (20, 40):
         search(study_in(storage), SPACE, bowl, settings(trials))
     assert tried(study_in(storage).trials) == whole
-
-
-def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
-    search(study_in(str(tmp_path / JOURNAL_NAME)), SPACE, bowl, settings(20))
-    journal = JournalStorage(JournalFileBackend(str(tmp_path / JOURNAL_NAME)))
-    study = optuna.load_study(study_name=None, storage=journal)
-    assert (study.study_name, study.metric_names) == ("drive", ["accuracy"])
-    base = f"sqlite:///{tmp_path}/study.db"
-    optuna.copy_study(from_study_name="drive", from_storage=journal, to_storage=base)
-    copy = optuna.load_study(study_name="drive", storage=base)
-    assert tried(copy.trials) == tried(study.trials)
 
 
 def test_a_journal_that_lost_the_end_of_its_last_line_goes_on(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
     read_parquet,
@@ -20,7 +20,7 @@ from egolane_pgm.tools.files import (
     write_yaml,
 )
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
+from egolane_pgm.vision.camera.model import Camera, write_camera
 from egolane_pgm.vision.camera.writing import write_picture
 from tests.kits.rosbag_writer import write_lines
 
@@ -66,10 +66,6 @@ def test_a_text_is_read_without_the_mark_before_it(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_bytes(b"\xef\xbb\xbfa: 1\n")
     assert read_text(tmp_path / "a.yaml") == "a: 1\n"
     assert read_yaml(tmp_path / "a.yaml", "a: 1") == {"a": 1}
-    write_camera(tmp_path / "cam.yaml", CAMERA, "how\nit was made")
-    assert read_camera(tmp_path / "cam.yaml") == CAMERA
-    write_ground_truth(tmp_path / "t.txt", DRIVE.truth)
-    assert len(read_ground_truth(tmp_path / "t.txt")) == len(DRIVE.truth)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +96,6 @@ def test_a_file_that_is_not_yaml_is_refused_in_one_line(
             "a: 1\n\tb: 2\n",
             "is not YAML: line 2: found character '\\t' that cannot start any token",
         ),
-        ("a: *b", "is not YAML: line 1: found undefined alias 'b'"),
         ('a: 1\nb: "a\\0b"', "is not YAML: line 2: a text contains a NUL character"),
         ("a: " + "[" * 3000, "is not YAML: is nested too deeply"),
         ("a: !!int ''", "is not YAML: string index out of range"),

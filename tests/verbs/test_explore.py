@@ -45,10 +45,7 @@ def test_a_repeated_command_fits_nothing_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--edge", "Foo -> Lane"), "edge 'Foo -> Lane': no node 'Foo'"),
-        (("--edge", "Lane -> Lane"), "edge 'Lane -> Lane': the edges within a slice form a cycle"),
         (("--edge", "Lane - WOR"), "edge 'Lane - WOR': no node"),
-        (("--edge", "DetectorOutput -> Lane"), "a slice form a cycle: Lane -> DetectorOutput"),
         (("--judge", "acuracy"), "--judge: unknown score 'acuracy' (did you mean 'accuracy'?)"),
         (("--node", "Occlusion"), "--node: 'Occlusion' is not NEW_NAME=SIZE, e.g. Occlusion=2"),
         (("--node", "Lane=3"), "--node: 'Lane=3' is not NEW_NAME=SIZE"),

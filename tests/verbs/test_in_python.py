@@ -13,7 +13,6 @@ from typing import Any
 from unittest.mock import MagicMock
 
 import IPython.core.formatters
-import pandas as pd
 import pytest
 
 import egolane_pgm as ego
@@ -80,17 +79,6 @@ def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
     assert data == {"text/plain": repr(run)}
 
 
-def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_path: Path) -> None:
-    graph = ego.run(drive, graph="lane_only")
-    assert graph.experiment.graph == "lane_only"
-    again = ego.run(graph, overrides={"filter": "exact"})
-    assert (again.experiment.filter, again.experiment.graph) == ("exact", "lane_only")
-    table = pd.DataFrame({"name": ["a", "b"], "filter": ["exact", "smoothed"]})
-    summary = ego.run(drive, table=table, out=tmp_path)
-    assert summary.index.to_list() == ["a", "b"]
-    assert summary["error"].isna().all()
-
-
 # --- learn and tune ------------------------------------------------------------------------------
 
 
@@ -113,17 +101,13 @@ def test_nothing_is_written_without_a_place(
 @pytest.mark.parametrize(
     ("verb", "given", "message"),
     [
-        (ego.run, {"given": QUICKSTART, "overrides": "a=3"}, "overrides: 'a=3': needs a dict, or"),
-        (ego.run, {"given": 3}, "3 is no experiment; give the path of a YAML file"),
         (ego.run, {"given": QUICKSTART, "graph": 3}, "graph: int is not a name, file"),
         (ego.run, {"given": QUICKSTART, "table": "x.csv"}, "table: needs out, the folder of its"),
         (ego.reproduce, {"runs": 11}, "run 11: the paper has runs 1 to 10"),
         (ego.reproduce, {"runs": ["one"]}, "write numbers and ranges"),
-        (ego.tune, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": []}, "experiments: name at least one"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": "p1=1"}, "parameter: .* needs a dict"),
         (ego.compare, {"results": []}, "results: name at least one"),
-        (ego.load_result, {"directory": "nowhere"}, "nowhere: is not a result directory"),
     ],
 )
 def test_an_argument_that_does_not_fit_is_one_line(

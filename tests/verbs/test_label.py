@@ -67,8 +67,6 @@ def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) ->
     ("given", "words", "message"),
     [
         ("lines.csv", "", "--n-lanes: is missing: give the number of lanes"),
-        ("no.csv", "--n-lanes 3", "no.csv: no such file"),
-        ("odd.csv", "--n-lanes 3", "odd.csv: the table has no rows"),
         ("lines.csv", "--n-lanes 3 --ground-truth {0}/some.txt", "lane 5 is outside 1..3"),
         ("lines.csv", "--n-lanes 3 --below 2", "'--below': 2.0 is not in the range"),
         ("lines.csv", "--n-lanes 3 --set recording.camera={0}/cam.yaml", "cam.yaml"),
@@ -78,7 +76,6 @@ def test_a_recording_that_cannot_be_labelled_is_refused_in_a_line(
     lines: Path, tmp_path: Path, given: str, words: str, message: str
 ) -> None:
     folder = lines.parent
-    (folder / "odd.csv").write_text("these are no lines\n")
     (folder / "some.txt").write_text("1;5;0\n")
     out = ("--out", tmp_path / "x")
     assert message in refused("label", folder / given, *words.format(folder).split(), *out)

@@ -105,11 +105,6 @@ def test_a_name_that_cannot_be_shown_is_refused_in_a_line(
     assert message.format(tmp_path) in refused("show", *words.format(tmp_path).split())
 
 
-@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1"])
-def test_a_malformed_override_is_refused(drive: Path, override: str) -> None:
-    assert refused("run", "--dry-run", drive, "--set", override).startswith(f"--set: {override}: ")
-
-
 def test_data_list_shows_the_files_where_a_run_would_find_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

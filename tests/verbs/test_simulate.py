@@ -21,19 +21,19 @@ from tests.kits.drives import contents, done, refused
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pictures")
-    words = ("a4", "--images", "--frames", 240, "--set", "seed=4", "--out", folder)
+    words = ("a4", "--images", "--frames", 120, "--set", "seed=4", "--out", folder)
     output = done("simulate", *words, "--set", "min_stay_s=2").output
-    assert "240 frames; try: egolane detect" in output
+    assert "120 frames; try: egolane detect" in output
     return folder
 
 
 def test_pictures_show_the_simulated_road(drive: Path) -> None:
-    road = simulated_road("a4", 4, 240, min_stay_s=2)
+    road = simulated_road("a4", 4, 120, min_stay_s=2)
     truth = read_ground_truth(drive / "ground_truth.txt")
     np.testing.assert_array_equal(truth["true_lane"], road.lane)
     camera = read_camera(drive / "camera.yaml")
     pictures = list(read_pictures(open_source(drive / "images"), camera))
-    assert [picture.frame_id for picture in pictures] == list(range(240))
+    assert [picture.frame_id for picture in pictures] == list(range(120))
     # A JPEG is no exact copy.
     away = pictures[3].image.astype(float) - draw_frame(road, 3)
     assert np.abs(away).mean() < 3
@@ -47,12 +47,12 @@ def test_from_simulated_pictures_through_a_detector_to_a_belief(
     done("detect", *seen, "--detector", "ml", "-o", drive / "lines.parquet")
     done("run", drive / "experiment.yaml", "--no-figures", "--out", tmp_path / "result")
     result = load_result(tmp_path / "result")
-    assert result.run["frames"] == 240
+    assert result.run["frames"] == 120
     assert result.truth is not None
     assert result.truth["true_lane"].nunique() > 1
     assert result.scores["model"]["accuracy"] > 0.85
     # The lines are where they are: each that is valid lies on one of the road.
-    log, road = read_lines(drive / "lines.parquet"), simulated_road("a4", 4, 240, min_stay_s=2)
+    log, road = read_lines(drive / "lines.parquet"), simulated_road("a4", 4, 120, min_stay_s=2)
     frame, slot = np.nonzero(log.is_valid)
     away = np.abs(log.offset_m[frame, slot][:, None] - road.line_offset_m[frame]).min(axis=1)
     assert np.median(away) < 0.05

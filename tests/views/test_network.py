@@ -160,7 +160,7 @@ def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure)
                 assert distance.min() > circle.radius, (patch.get_gid(), node)
 
 
-@pytest.mark.parametrize("name", ["sensor_failure", "position_in_lane"])
+@pytest.mark.parametrize("name", ["sensor_failure", "autoregressive"])
 def test_pgmpy_reads_the_network_from_a_bif_file(tmp_path: Path, name: str) -> None:
     compiled = template(name, 2)
     write_network(compiled, tmp_path / "network.bif")

@@ -20,12 +20,6 @@ def result() -> Result:
     return run_input(open_input("quickstart", overrides={"recording.frames": [0, 300]}))
 
 
-def test_a_result_is_named_in_one_line(result: Result) -> None:
-    assert repr(result) == (
-        "Result('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)"
-    )
-
-
 def test_the_text_of_a_result_starts_with_the_score(result: Result) -> None:
     lines = result.to_text().splitlines()
     assert lines[0] == "quickstart: right in 87.7 % of 260 frames, detector alone 55.8 %"

@@ -17,7 +17,6 @@ from egolane_pgm.views.studies import (
     draw_study,
     front_figure,
     history_figure,
-    importances,
     pareto_front,
     profile_figure,
     profile_table,
@@ -70,28 +69,15 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     columns |= {"low": [0.2, 0.0], "high": [0.7, 0.0], "is_ruled_out": [True, False]}
     profile = pd.DataFrame({"parameter": "sigma1", **columns})
     panels = profile_figure(trials, document, "", profile).axes
-    found = importances(trials, document["settings"])
-    labels = [f"{k} ({100 * v:.0f} %)" for k, v in found.items()]
-    assert [ax.get_xlabel() for ax in panels] == labels
-    at = list(found).index("sigma1")
+    names = list(document["settings"]["searched"])
+    assert [ax.get_xlabel() for ax in panels] == names
+    at = names.index("sigma1")
     [line] = [each for each in panels[at].lines if "searched again" in str(each.get_label())]
     assert np.asarray(line.get_ydata()).tolist() == [0.5, 0.99]
     assert panels[at].get_ylim()[1] > 0.99
     band = panels[at].collections[0].get_paths()[0].get_extents()
     assert (band.ymin, band.ymax) == pytest.approx((0.99 - 0.7, 0.99))
     assert not panels[at - 1].collections
-
-
-def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
-    rng = np.random.default_rng(0)
-    x, y = rng.random((2, 300))
-    trials = pd.DataFrame({"score": (1 - np.abs(x - 0.3)).round(2), "y": y, "x": x})
-    settings = {"objectives": ["accuracy"], "searched": {"y": [0.0, 1.0], "x": [0.0, 1.0]}}
-    found = importances(trials, settings)
-    assert next(iter(found)) == "x"
-    assert found["x"] > 0.8
-    assert importances(trials.assign(score=0.5), settings) == {}
-    assert importances(trials.head(2), settings) == {}
 
 
 def test_a_pareto_front_is_printed_and_drawn(tmp_path: Path) -> None:
@@ -131,7 +117,7 @@ def test_a_pareto_front_is_printed_and_drawn(tmp_path: Path) -> None:
 def test_a_profile_is_printed_in_words(low: list[Any], out: list[bool], words: str) -> None:
     columns = {"value": [0.1, 0.2, 0.3], "difference": [1.0, 0.0, 1.0], "low": low}
     profile = pd.DataFrame({"parameter": "p1", **columns, "is_ruled_out": out})
-    assert profile_table(profile).rows == [["p1", "0.200", words]]
+    assert profile_table(profile, pd.DataFrame()).rows == [["p1", "0.200", words]]
 
 
 def test_a_directory_without_a_search_is_refused(tmp_path: Path, study: Study) -> None:
