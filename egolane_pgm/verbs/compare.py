@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
 
 from egolane_pgm.comparing import compare as compare_results
-from egolane_pgm.tools.options import Option
+from egolane_pgm.tools.options import Option, StrPath
 
 EXAMPLES = (
     "egolane compare results/a results/b",
@@ -22,6 +23,7 @@ def compare(
     of: Annotated[str | None, Option("KEY")] = None,
     by: Annotated[str | None, Option("KEY")] = None,
     detector: bool = False,
+    out: Annotated[StrPath | None, Option("FILE.png")] = None,
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings, with paired intervals.
 
@@ -31,6 +33,7 @@ def compare(
       default the name of each result; of several recordings the folder of their results.
     - by: a second such key: results with different values of it are compared separately.
     - detector: add the detectors' own answers.
+    - out: draw accuracy with its intervals.
 
     Returns a row per side, with each score (the mean over the recordings), its 95 % interval, and
     the difference to the first side with a paired interval; recordings of one drive are resampled
@@ -44,7 +47,13 @@ def compare(
     >>> ego.compare([one, other], of="filter")["accuracy"].round(3).to_dict()
     {'assumed_density': 0.836, 'exact': 0.832}
     """
-    return compare_results(results, of=of, by=by, detector=detector)
+    table = compare_results(results, of=of, by=by, detector=detector)
+    if out is not None:
+        from egolane_pgm.views.comparisons import comparison_figure
+        from egolane_pgm.views.style import write_figure
+
+        write_figure(lambda: comparison_figure(table), Path(out))
+    return table
 
 
 def text(done: pd.DataFrame, style: str) -> str:

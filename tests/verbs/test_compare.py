@@ -41,7 +41,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
     results: Path, tmp_path: Path
 ) -> None:
     words = ("compare", results, "--of", "graph", "--json", tmp_path / "x.json")
-    done(*words)
+    done(*words, "--out", tmp_path / "x.png")
     rows = json.loads((tmp_path / "x.json").read_text())["rows"]
     assert [row["graph"] for row in rows] == ["sensor_failure", "lane_only"] or [
         row["graph"] for row in rows
@@ -51,6 +51,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
         rows[1]["accuracy"] - rows[0]["accuracy"]
     )
     assert "event_recall" in rows[0]
+    assert (tmp_path / "x.png").is_file()
     done(*words, "--by", "tag.driver")
     rows = json.loads((tmp_path / "x.json").read_text())["rows"]
     assert [row["tag.driver"] for row in rows] == ["a", "a", "b", "b"]
@@ -63,6 +64,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
         ("{0}/gone", "gone: is not a result directory"),
         ("{0} --of tuned_on", "--of: not_tuned has two results of one recording"),
         ("{0} --by tag.drivr", "--by: no result has a value of tag.drivr"),
+        ("{0}/lane_only_0 --out {0}/x.txt", "x.txt"),
     ],
 )
 def test_results_that_cannot_be_compared_are_refused(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,6 +17,7 @@ from egolane_pgm.result import lanes_of
 from egolane_pgm.scoring.confusion import scores_from_confusion
 from egolane_pgm.scoring.scores import Answers, calibration_curve
 from egolane_pgm.types import InputError
+from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
     confusions,
@@ -98,6 +100,21 @@ def test_scores_cannot_be_drawn_without_ground_truth(draw: Any) -> None:
     for frames in (without_truth().frames, crossing):
         with pytest.raises(InputError, match="no annotated frame that is not crossing"):
             draw(frames)
+
+
+def test_a_comparison_is_drawn_with_hollow_in_sample_rows() -> None:
+    columns = {"accuracy": [0.9, 0.99, 0.5], "accuracy_low": [0.8, None, 0.4]}
+    columns |= {"accuracy_high": [0.95, None, 0.6], "tuned_on": ["not_tuned", "same_frames", ""]}
+    table = pd.DataFrame(columns, index=pd.Index(["a", "b", "detector"], name="graph"))
+    figure = comparison_figure(table)
+    [ax] = figure.axes
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["a", "b", "detector"]
+    filled, hollow = (np.asarray(line.get_xdata()).tolist() for line in ax.lines[:2])
+    assert (filled, hollow) == ([0.9, 0.5], [0.99])
+    table = pd.concat({"x": table, "y": table}, names=["tag.driver"])
+    assert "y, detector" in [
+        t.get_text() for t in comparison_figure(table).axes[0].get_yticklabels()
+    ]
 
 
 @pytest.mark.parametrize(
