@@ -144,6 +144,7 @@ class Exploration:
     - structures: a row per structure: `edges`, `score`, `free_parameters`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start; none if nothing passes.
     - gain: of the best structure over the start: `changes` as text, else as in `edges`.
+    - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
     - judge, objective: description of the gains, and what structures were fitted to.
     - directory: output directory; None in memory.
@@ -153,6 +154,7 @@ class Exploration:
     structures: pd.DataFrame
     best: Structure
     gain: Mapping[str, Any]
+    gains: Mapping[tuple[str, str, int], float]
     model: Model
     judge: str
     objective: str
@@ -476,6 +478,7 @@ def explore(
         pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
         best,
         {"changes": changes, **tried.gain(best)},
+        {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
         _model_of(problem, best),
         JUDGES[problem.judge],
         problem.objective,

@@ -82,7 +82,7 @@ def explore(
         from egolane_pgm.views.network import write_network
 
         write_network(found.model.compiled, place / "best.bif")
-        write_network(found.model.compiled, place / "best.png")
+        write_network(found.model.compiled, place / "best.png", found.gains)
     return found
 
 

@@ -20,6 +20,9 @@ from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
 
 Shape = Circle | Rectangle
 
+#: What edges gain, by parent, child and lag.
+Gains = Mapping[tuple[str, str, int], float]
+
 #: Fill of each kind of node. Kinds differ in lightness and shape too, so colour is not needed.
 _FILL = {
     "hidden": "#ffffff",
@@ -81,15 +84,17 @@ def structure_of(compiled: Compiled) -> Structure:
     return Structure(kind, list(dict.fromkeys(within)), across)
 
 
-def write_network(compiled: Compiled, path: Path) -> None:
+def write_network(compiled: Compiled, path: Path, gains: Gains | None = None) -> None:
     """Write a picture of a network, or both slices with their tables, as BIF (.bif).
+
+    - gains: see `network_figure`.
 
     Raises InputError for a file that cannot be written.
     """
     if path.suffix.lower() == ".bif":
         write_text(path, bif(compiled.tables.values(), compiled.values))
     else:
-        write_figure(lambda: network_figure(structure_of(compiled)), path)
+        write_figure(lambda: network_figure(structure_of(compiled), gains), path)
 
 
 # --- the picture ---------------------------------------------------------------------------------
@@ -109,12 +114,17 @@ def draw_network(network: Any) -> Figure:
     return inline_figure(lambda: network_figure(structure_of(compiled_of(network))))
 
 
-def network_figure(structure: Structure) -> Figure:
+def network_figure(structure: Structure, gains: Gains | None = None) -> Figure:
     """Draw the two slices side by side, as in the paper's Figure `fig:model`.
 
     Hidden nodes are white circles, functions have a double outline, observed nodes are blue-grey,
     inputs are squares, and virtual-evidence nodes are small and dark.
+
+    - gains: of edges, by parent, child and lag (0 or 1); these are drawn up to five times
+      as wide.
     """
+    gains = gains or {}
+    most = max([1e-9, *gains.values()])
     places = _places(structure)
     width, height = np.max(list(places.values()), axis=0)
     shift = width + 2 * _MARGIN + _GAP
@@ -141,7 +151,9 @@ def network_figure(structure: Structure) -> Figure:
             nodes[name, s].set_gid(f"node {name} {s}")
     edges = [((a, s), (b, s)) for s in (0, 1) for a, b in structure.within]
     for edge in [*edges, *(((a, 0), (b, 1)) for a, b in structure.across)]:
-        _draw_edge(ax, edge, nodes)
+        (parent, s), (child, t) = edge
+        gain = gains.get((parent, child, t - s))
+        _draw_edge(ax, edge, nodes, 1.0 if gain is None else 1 + 4 * max(gain, 0.0) / most)
     entries: dict[str, Any] = {}
     for kind in [each for each in _FILL if each in structure.kind.values()]:
         sizes = {"function": (10, 7), "virtual evidence": (5,)}.get(kind, (10,))
@@ -150,6 +162,8 @@ def network_figure(structure: Structure) -> Figure:
     entries["within a frame"] = Line2D([], [], color=INK, lw=1.1)
     if structure.across:
         entries["to the next frame"] = Line2D([], [], color=_TEMPORAL, lw=1.9)
+    if gains:
+        entries["wider: gains more"] = Line2D([], [], color=INK, lw=5)
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
     return figure
 
@@ -205,7 +219,10 @@ def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
 
 
 def _draw_edge(
-    ax: Axes, edge: tuple[SliceNode, SliceNode], nodes: Mapping[SliceNode, Shape]
+    ax: Axes,
+    edge: tuple[SliceNode, SliceNode],
+    nodes: Mapping[SliceNode, Shape],
+    width: float = 1.0,
 ) -> None:
     """Draw an edge with the smallest bend that keeps it clear of all other nodes."""
     start, end = edge
@@ -227,7 +244,7 @@ def _draw_edge(
         connectionstyle=f"arc3,rad={-max(_BENDS, key=room)}",
         arrowstyle="-|>,head_length=5,head_width=2.8",
         color=_TEMPORAL if is_temporal else INK,
-        linewidth=1.9 if is_temporal else 1.1,
+        linewidth=width * (1.9 if is_temporal else 1.1),
         zorder=2,
     )  # fmt: skip
     arrow.set_gid(f"edge {start[0]} {start[1]} {end[0]} {end[1]}")
