@@ -4,11 +4,8 @@ Messages are JSON with a JSON Schema:
 
     /frame      the row of `Result.frames`: posteriors, answers, truth; without missing values
     /lines      frame_id and the lines as recorded: offset_m, is_valid, is_continuous, lri
-    /birdseye   foxglove.SceneUpdate: the lines from above, the posterior as bars behind the car
     /changes    the row of `Result.events`: a reported lane change
     /picture    foxglove.CompressedImage: the pictures that the detector saw
-
-Foxglove's axes: x ahead, y to the left, z up.
 """
 
 from __future__ import annotations
@@ -18,7 +15,7 @@ import heapq
 import json
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.export import chosen_frames
-from egolane_pgm.result import Result, lanes_of
+from egolane_pgm.result import Result
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import InputError, IntArray
@@ -45,49 +42,11 @@ Message = tuple[int, str, Content]
 #: Nodes with more values (the cells of RoadPosition) are left out: each value is a curve.
 MOST_VALUES = 16
 
-#: Distance ahead up to which the lines of the bird's-eye view reach, metres.
-AHEAD_M = 40.0
-
-#: Width of the lines of the bird's-eye view, metres.
-WIDTH_M = 0.15
-
-#: Position of the bars of the posterior, metres: behind the camera.
-BARS_M = -8.0
-
-#: Distance of two bars, metres.
-BAR_GAP_M = 2.0
-
-#: Height of a bar of probability 1, metres.
-BAR_HEIGHT_M = 6.0
-
 #: Pictures are not higher, pixels.
 PICTURE_HEIGHT = 540
 
 #: The names of Foxglove's schemas.
-SCHEMAS = {"/birdseye": "foxglove.SceneUpdate", "/picture": "foxglove.CompressedImage"}
-
-Triple = tuple[float, float, float]
-
-#: Okabe and Ito's colours, red green blue, of a valid continuous line, ...
-CONTINUOUS = (0.0, 0.45, 0.7)
-
-#: ... a valid dashed line ...
-DASHED = (0.9, 0.62, 0.0)
-
-#: ... and a line that is not valid.
-NOT_VALID = (0.59, 0.59, 0.59)
-
-#: Bar of the assigned lane.
-ASSIGNED = CONTINUOUS
-
-#: Bars of the other lanes.
-OTHER = (0.74, 0.84, 0.93)
-
-#: Marker of the true lane.
-TRUTH = (0.84, 0.37, 0.0)
-
-#: The car.
-CAR = (0.47, 0.47, 0.47)
+SCHEMAS = {"/picture": "foxglove.CompressedImage"}
 
 
 def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
@@ -105,7 +64,7 @@ def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None
         warnings.warn(f"{result.name}: has no lines; the file shows the rest", stacklevel=2)
     topics = [
         _frame_messages(result, shown),
-        _line_messages(_lines_of(result), shown, time_ns),
+        _line_messages(result, shown),
         _event_messages(result, shown),
         _picture_messages(result, shown, time_ns),
     ]
@@ -181,37 +140,12 @@ def _lines_of(result: Result) -> dict[int, list[Content]]:
     return found
 
 
-def _line_messages(
-    lines: Mapping[int, list[Content]], frames: pd.DataFrame, time_ns: IntArray
-) -> Iterator[Message]:
-    """The lines in the form that `egolane online` and `recordings.topics` read, and the scene.
-
-    A recording has the offsets of lines only, so the scene has them straight ahead.
-    """
-    posterior = lanes_of(frames)
-    answer = frames["assigned_lane"].to_numpy()
-    truth = frames["true_lane"].fillna(0).to_numpy(int)
-    n = posterior.shape[1]
-    for row, (frame_id, now) in enumerate(zip(frames.index, time_ns.tolist(), strict=True)):
+def _line_messages(result: Result, frames: pd.DataFrame) -> Iterator[Message]:
+    """The lines in the form that `egolane online` and `recordings.topics` read."""
+    lines = _lines_of(result)
+    for row, frame_id in enumerate(frames.index):
         if frame_id in lines:
             yield row, "/lines", {"frame_id": int(frame_id), "lines": lines[frame_id]}
-        # Some detectors write an offset of exactly 0, or of kilometres, for no line.
-        drawn = [
-            _line(-line["offset_m"], line["is_valid"], line["is_continuous"])
-            for line in lines.get(frame_id, [])
-            if line["offset_m"] is not None
-            and abs(line["offset_m"]) < 100
-            and (line["offset_m"] or line["is_valid"])
-        ]
-        cubes = [_cube((-2.25, 0.0, 0.7), (4.5, 1.8, 1.4), CAR)]
-        for lane, p in enumerate(posterior[row].tolist(), start=1):
-            left = ((n + 1) / 2 - lane) * BAR_GAP_M
-            high = max(p * BAR_HEIGHT_M, 0.02)
-            colour = ASSIGNED if lane == answer[row] else OTHER
-            cubes.append(_cube((BARS_M, left, high / 2), (0.8, 1.6, high), colour))
-            if lane == truth[row]:
-                cubes.append(_cube((BARS_M, left, -0.05), (1.4, 1.9, 0.1), TRUTH))
-        yield row, "/birdseye", _scene(now, drawn, cubes)
 
 
 def _picture_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -> Iterator[Message]:
@@ -227,58 +161,8 @@ def _picture_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -
     for frame_id, _, (image,) in images_of((source,), (int(ids[0]), int(ids[-1]) + 1)):
         if frame_id in ids:
             row = int(ids.get_loc(frame_id))
-            content: Content = {"timestamp": _time(int(time_ns[row])), "frame_id": "camera"}
+            now = int(time_ns[row])
+            time = {"sec": now // 10**9, "nsec": now % 10**9}
+            content: Content = {"timestamp": time, "frame_id": "camera"}
             content |= {"format": "jpeg", "data": as_jpeg(image, PICTURE_HEIGHT)}
             yield row, "/picture", content
-
-
-# --- Foxglove's schemas --------------------------------------------------------------------------
-
-
-def _scene(now: int, lines: list[Content], cubes: list[Content]) -> Content:
-    empty = ("arrows", "spheres", "cylinders", "triangles", "models", "texts", "metadata")
-    entity = {
-        "timestamp": _time(now),
-        "frame_id": "car",
-        "id": "drive",
-        "lifetime": _time(0),
-        "frame_locked": True,
-        "lines": lines,
-        "cubes": cubes,
-        **{name: [] for name in empty},
-    }
-    return {"deletions": [], "entities": [entity]}
-
-
-def _line(left: float, is_valid: bool, is_continuous: bool) -> Content:
-    colour = NOT_VALID if not is_valid else CONTINUOUS if is_continuous else DASHED
-    return {
-        "type": 0,  # a line strip
-        "pose": _pose((0.0, 0.0, 0.0)),
-        "thickness": WIDTH_M if is_valid else WIDTH_M / 2,
-        "scale_invariant": False,
-        "points": [_xyz((x, left, 0.0)) for x in (0.0, AHEAD_M)],
-        "color": _colour(colour),
-        "colors": [],
-        "indices": [],
-    }
-
-
-def _cube(at: Triple, size: Triple, colour: Triple) -> Content:
-    return {"pose": _pose(at), "size": _xyz(size), "color": _colour(colour)}
-
-
-def _pose(at: Triple) -> Content:
-    return {"position": _xyz(at), "orientation": {**_xyz((0.0, 0.0, 0.0)), "w": 1.0}}
-
-
-def _xyz(values: Triple) -> Content:
-    return dict(zip("xyz", values, strict=True))
-
-
-def _colour(colour: Triple) -> Content:
-    return dict(zip("rgba", (*colour, 1.0), strict=True))
-
-
-def _time(now: int) -> Content:
-    return {"sec": now // 10**9, "nsec": now % 10**9}

@@ -90,7 +90,7 @@ def messages(mcap: Path) -> Messages:
 def test_each_frame_is_a_message_on_the_clock_of_the_recording(result: Result, file: Path) -> None:
     found = messages(file)
     times = [START_S * 10**9 + int(k) * 10**8 for k in result.frames.index]
-    for topic in ("/frame", "/lines", "/birdseye"):
+    for topic in ("/frame", "/lines"):
         assert [now for now, _ in found[topic]] == times, topic
     table = pd.DataFrame([content for _, content in found["/frame"]]).set_index("frame_id")
     expected = result.frames.astype({"true_lane": float, "is_crossing": float})
@@ -101,24 +101,6 @@ def test_each_frame_is_a_message_on_the_clock_of_the_recording(result: Result, f
     pd.testing.assert_frame_equal(changes, result.events, check_dtype=False, check_like=True)
     at = [now for now, _ in found["/changes"]]
     assert at == [times[int(k)] for k in result.events["detected_frame_id"]]
-
-
-def test_the_scene_has_the_lines_and_the_posterior_of_its_frame(result: Result, file: Path) -> None:
-    [log] = result.lines.values()
-    for t, (_, scene) in enumerate(messages(file)["/birdseye"]):
-        [entity] = scene["entities"]
-        offset = log.offset_m[t]
-        left = [line["points"][0]["y"] for line in entity["lines"]]
-        there = ~np.isnan(offset) & (offset != 0)
-        assert sorted(-y for y in left) == sorted(offset[there].tolist())
-        bars = [cube for cube in entity["cubes"] if cube["size"]["x"] == 0.8]
-        expected = np.maximum(6 * result.node("Lane")[t], 0.02)
-        np.testing.assert_allclose([bar["size"]["z"] for bar in bars], expected)
-        plates = [cube["pose"] for cube in entity["cubes"] if cube["size"]["x"] == 1.4]
-        truth = result.frames["true_lane"].iloc[t]
-        assert [pose["position"]["y"] for pose in plates] == (
-            [] if t == 7 else [bars[truth - 1]["pose"]["position"]["y"]]
-        )
 
 
 def test_an_mcap_file_is_a_recording_again(result: Result, file: Path) -> None:
@@ -142,7 +124,7 @@ def test_a_part_has_the_messages_of_the_whole(result: Result, file: Path, tmp_pa
     write_mcap(tmp_path / "part.mcap", result, frames=(first, first + 9))
     part, whole = messages(tmp_path / "part.mcap"), messages(file)
     now = [START_S * 10**9 + (first + k) * 10**8 for k in range(10)]
-    for topic in ("/frame", "/lines", "/birdseye", "/changes"):
+    for topic in ("/frame", "/lines", "/changes"):
         assert part[topic] == [each for each in whole[topic] if each[0] in now], topic
 
 
@@ -155,7 +137,7 @@ def test_missing_lines_and_pictures_are_left_out_with_a_warning(
         pytest.warns(UserWarning, match="shown without pictures"),
     ):
         write_mcap(tmp_path / "out.mcap", gone)
-    assert set(messages(tmp_path / "out.mcap")) == {"/frame", "/birdseye", "/changes"}
+    assert set(messages(tmp_path / "out.mcap")) == {"/frame", "/changes"}
 
 
 @pytest.mark.parametrize(
