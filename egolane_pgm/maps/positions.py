@@ -1,4 +1,4 @@
-"""Positions of a GNSS receiver from tables, GPX, NMEA, and bags of ROS 1 and ROS 2.
+"""Positions of a GNSS receiver from tables, GPX, and bags of ROS 1 and ROS 2.
 
 Times are seconds; dates are seconds since 1970, UTC.
 """
@@ -8,9 +8,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, time
+from datetime import UTC
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,24 +29,15 @@ COLUMNS = {
     "sigma_m": ("sigma_m",),
 }
 
-#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX and NMEA
-#: have the dilution only.
+#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX has the
+#: dilution only.
 SIGMA_PER_HDOP_M = 3.0
 
 #: The columns that a table must have.
 NEEDED = ("t_s", "latitude", "longitude")
 
-#: Metres per second.
-_KNOT = 0.514444
-
-#: Seconds.
-_HALF_DAY_S = 43_200
-
 #: Plausible seconds between two positions.
 _STEP_S = (0.01, 60.0)
-
-#: A sentence with fewer fields is cut off: the date of RMC is its ninth.
-_NMEA_FIELDS = 10
 
 #: The name of the message type of a receiver's fixes, in any package.
 _FIX = "NavSatFix"
@@ -129,7 +119,7 @@ class Positions:
 
 
 def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None) -> Positions:
-    """Read the positions of a drive from a .csv, .parquet, .gpx or .nmea, or from the
+    """Read the positions of a drive from a .csv, .parquet or .gpx, or from the
     sensor_msgs/NavSatFix of a bag: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
 
     - columns: other names of a table's columns (keys of COLUMNS), {"latitude": "lat_gps"}; or the
@@ -190,70 +180,6 @@ def _read_gpx(path: Path, columns: Mapping[str, str]) -> Positions:
     )  # fmt: skip
 
 
-def _read_nmea(path: Path, columns: Mapping[str, str]) -> Positions:
-    """Read the sentences RMC and GGA, which may follow other text in their line.
-
-    Without RMC the date is unknown: times are seconds of the first day. A sentence that is
-    cut off or has a wrong checksum is left out with a warning; it may have no checksum.
-    """
-    with needed(f"{path}", "maps"):
-        import pynmea2
-    rows: dict[float, dict[str, float]] = {}
-    midnight = 0.0
-    last = 0.0
-    n_bad = 0
-    for line in read_text(path).splitlines():
-        start = line.find("$")
-        if line[start + 3 : start + 6] not in ("RMC", "GGA"):
-            continue
-        try:
-            fix = pynmea2.parse(line[start:].strip())
-            at = fix.timestamp
-            if at is None:
-                continue
-            second = at.hour * 3600 + at.minute * 60 + at.second + at.microsecond / 1e6
-            date = fix.datestamp if fix.sentence_type == "RMC" else None
-            today = None if date is None else datetime.combine(date, time(), UTC).timestamp()
-            values = _nmea_values(fix)
-        except (ValueError, TypeError, AttributeError):
-            # pynmea2 gives the text of a field that it cannot read.
-            n_bad += 1
-            continue
-        if today is not None:
-            midnight = today
-        elif second < last - _HALF_DAY_S:
-            midnight += 2 * _HALF_DAY_S
-        last = second
-        rows.setdefault(midnight + second, {}).update(values)
-    if n_bad:
-        note = f"{path}: left out {n_bad} sentence(s) that are cut off or damaged"
-        warnings.warn(note, UserWarning, stacklevel=3)
-    if not rows:
-        raise InputError(f"{path}: has no sentence RMC or GGA with a time")
-    table = pd.DataFrame.from_dict(rows, orient="index")
-    found = {name: table[name].to_numpy() for name in table}
-    return Positions.make(table.index.to_numpy(), source=str(path), **found)
-
-
-def _nmea_values(fix: Any) -> dict[str, float]:
-    """Return the columns of a sentence. Raises ValueError for a sentence that is cut off, and for a
-    field that is not a number."""
-    if len(fix.data) < _NMEA_FIELDS:
-        raise ValueError("cut off")
-    has_fix = bool(fix.lat and fix.lon)
-    values = {
-        "latitude": fix.latitude if has_fix else np.nan,
-        "longitude": fix.longitude if has_fix else np.nan,
-    }
-    if fix.sentence_type == "GGA":
-        dilution = float(fix.horizontal_dil or 0)
-        return {**values, "sigma_m": SIGMA_PER_HDOP_M * dilution if dilution > 0 else np.nan}
-    speed, heading = (
-        np.nan if value is None else float(value) for value in (fix.spd_over_grnd, fix.true_course)
-    )
-    return {**values, "speed_mps": speed * _KNOT, "heading_deg": heading}
-
-
 def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the fixes on a topic, by default the only one that has some."""
     # rosbags is imported for bags only.
@@ -284,6 +210,5 @@ def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:
 _FORMATS = {
     **dict.fromkeys((".csv", ".parquet"), (_read_table, (*COLUMNS,))),
     ".gpx": (_read_gpx, ()),
-    **dict.fromkeys((".nmea", ".log", ".txt"), (_read_nmea, ())),
     **dict.fromkeys((".bag", ".mcap", ".db3"), (_read_bag, ("topic",))),
 }
