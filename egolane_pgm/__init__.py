@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     # What editors and type checkers see of the names below.
     from egolane_pgm.checking import check as check
     from egolane_pgm.checking import prediction_calibration as prediction_calibration
-    from egolane_pgm.checking import sensitivity as sensitivity
     from egolane_pgm.graphs import cpds as cpds
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
@@ -91,7 +90,6 @@ _PUBLIC = {
     "predicted": "inference.sampling",
     "check": "checking",
     "prediction_calibration": "checking",
-    "sensitivity": "checking",
     "expected_counts": "inference.expected_counts",
     "log_loss_gradient": "inference.gradient",
     "lane_events": "inference.events",

@@ -1,4 +1,4 @@
-"""Does the model look like the data? Predictive checks of a result, and its sensitivity.
+"""Does the model look like the data? Predictive checks of a result.
 
 A statistic of a drive, such as the number of lane changes, is computed for the ground truth, for
 paths drawn from the posterior, and for drives drawn from the model without data. If the last two
@@ -13,16 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.inference.sampling import drawn_paths, predicted, sampled_states
-from egolane_pgm.model import Model, make_evidence, with_parameters
-from egolane_pgm.parameters import Parameter, per_lane
-from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.result import Result, as_result
-from egolane_pgm.running import noting
-from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.scoring.scores import SCORES, Answers
-from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: The bins of predicted probabilities.
@@ -30,12 +22,6 @@ N_BINS = 10
 
 #: The interval of the draws, per cent.
 INTERVAL = (5.0, 95.0)
-
-#: The step of a sensitivity, as a share of the search range.
-STEP = 0.01
-
-#: The scores of a sensitivity.
-MOVED = ("accuracy", "log_loss", "log_evidence")
 
 
 class Draws(NamedTuple):
@@ -179,91 +165,6 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     columns = ["node", "predicted", "comes", "count"]
     found = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
     return found[columns]
-
-
-def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
-    """Measure how far the scores of a result move with each number of its model.
-
-    Each parameter of evidence rule and graph that a search moves is changed alone, down and up by
-    the same share of its search range but not beyond its bounds, and the drive is filtered again:
-    0.01 is 0.01 of a probability and 0.03 lanes of a sigma.
-
-    - step: share of the search range. The accuracy counts frames and does not move with steps that
-      are too small to change the lane of one.
-
-    Returns a row per number: its `value`, the values tried (`value_low`, `value_high`), and how
-    much each score changes at these: `accuracy_down`, `accuracy_up` (share of the frames that are
-    not crossing), `log_loss_...` (nats per frame), `log_evidence_...` (nats, sum over the frames).
-    The filter is causal, the result's own or else `exact`, and the scores are in-sample if the
-    result is. NaN for a number at its bound and without ground truth. The log evidence is NaN for
-    parameters of the evidence rule as well, since likelihoods are not normalised and their scale
-    would count, and if the model does not allow a frame. It judges how well a model describes the
-    lines, and on the paper's recordings it ranked models nearly opposite to held-out lanes.
-
-    Raises InputError as `single_drive`.
-
-    >>> import egolane_pgm as ego
-    >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
-    >>> ego.sensitivity(result).loc["p1", ["value_low", "value", "value_high"]].round(3).tolist()
-    [0.94, 0.95, 0.96]
-    """
-    if not 0 < step <= 1:
-        raise InputError(f"step: {step} is not a share of the search range (0 to 1)")
-    result = single_drive(result)
-    model = result.model
-    start = _scores(result, result.model)
-    of_rule = model.rule.parameters
-    rows = {}
-    for spec in bar(declared_parameters(model.rule, model.graph), unit="parameter"):
-        # A whole number may change the shape of the network.
-        is_number = spec.kind != "integer" and not isinstance(model.parameters[spec.name], str)
-        if not (spec.is_searched and is_number):
-            continue
-        values = per_lane(model.parameters, spec.name, model.n_lanes)
-        for k, here in enumerate(values if spec.per_lane else values[:1]):
-            row = rows[f"{spec.name}[{k + 1}]" if spec.per_lane else spec.name] = {"value": here}
-            for side, sign, end in (("down", -1, "low"), ("up", 1, "high")):
-                row[f"value_{end}"] = there = _moved(spec, here, sign * step)
-                if there != here:
-                    moved = (*values[:k], there, *values[k + 1 :]) if spec.per_lane else there
-                    changed = with_parameters(model, {**model.parameters, spec.name: moved})
-                    found = _scores(result, changed, spec in of_rule)
-                    row |= {f"{name}_{side}": found[name] - start[name] for name in MOVED}
-    columns = ["value", "value_low", "value_high"]
-    columns += [f"{name}_{side}" for name in MOVED for side in ("down", "up")]
-    return pd.DataFrame.from_dict(rows, "index", float, columns).rename_axis("number")
-
-
-def _moved(spec: Parameter, value: float, share: float) -> float:
-    """Return a value moved by a share of its search range, not beyond the range and the value."""
-    low, high = spec.search_range or (value, value)
-    width = high - low
-    # A sigma is larger than 0.
-    low = max(low, 1e-6 * width)
-    return float(np.clip(value + share * width, min(low, value), max(high, value)))
-
-
-def _scores(result: Result, model: Model, moves_evidence: bool = False) -> dict[str, float]:
-    """Return the MOVED scores of a result with another model; NaN if undefined."""
-    e = result.experiment
-    frames = result.frames
-    evidence = result.evidence
-    if moves_evidence:
-        with noting():  # The result has these warnings.
-            evidence, _ = make_evidence(model, next(iter(result.lines.values())))
-    method = e.filter if e.filter in METHODS else "exact"
-    beliefs = filter_beliefs(model.compiled, evidence, method)
-    is_comparable = not moves_evidence and not beliefs.is_impossible.any()
-    known = (frames["true_lane"].notna() & frames.get("is_trusted", True)).to_numpy(bool)
-    truth = frames[known]
-    lane = beliefs.lane[known]
-    assigned = assigned_lane(lane, e.min_confidence)
-    is_crossing = truth["is_crossing"].to_numpy(bool)
-    answers = Answers(lane, truth["true_lane"].to_numpy(int), is_crossing, assigned)
-    names = ("accuracy", "log_loss")
-    found = {name: SCORES[name].of(answers) if known.any() else np.nan for name in names}
-    total = float(beliefs.log_evidence.sum()) if is_comparable else np.nan
-    return {**found, "log_evidence": total}
 
 
 def single_drive(result: Result) -> Result:

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from egolane_pgm.checking import check as check_model
-from egolane_pgm.checking import prediction_calibration, sensitivity
+from egolane_pgm.checking import prediction_calibration
 from egolane_pgm.comparing import open_results
 from egolane_pgm.result import Result, is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import Option, StrPath, several_of
 from egolane_pgm.types import InputError, printable
-from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
+from egolane_pgm.views.checks import check_figure, check_text
 from egolane_pgm.views.figures import (
     confusion_figure,
     dispersion_figure,
@@ -61,8 +61,7 @@ def plot(
     - frames: frame ids of the belief strips, of a video or of an MCAP file.
     - out: by default figures/ in the result.
     - style: format of the figures.
-    - check: print and draw instead whether the model looks like the data, and how far the scores
-      move with each of its numbers.
+    - check: print and draw instead whether the model looks like the data.
 
     Returns the files. Raises InputError for directories and options that do not fit.
     """
@@ -105,7 +104,7 @@ def plot(
 
 
 def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
-    """Print the checks of a result; return their figures. Raises InputError if they would execute
+    """Print the checks of a result; return their figure. Raises InputError if they would execute
     a program of the result."""
     e = result.experiment
     cure = f"ego.check(ego.load_result('{result.directory}'))"
@@ -113,11 +112,7 @@ def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
     found = (check_model(result), prediction_calibration(result))
     title = title_of(result)
     print(printable(check_text(result, *found)), end="\n\n")
-    makes: dict[str, Callable[[], Figure]] = {"check": partial(check_figure, *found, title)}
-    numbers = sensitivity(result)
-    if len(numbers):
-        makes["sensitivity"] = partial(sensitivity_figure, numbers, title)
-    return makes
+    return {"check": partial(check_figure, *found, title)}
 
 
 def _check_no_program(option: str, plugins: Sequence[str | None], cure: str) -> None:

@@ -1,11 +1,10 @@
-"""Predictive checks and sensitivity of a result, as figures and as text."""
+"""Predictive checks of a result, as a figure and as text."""
 
 from __future__ import annotations
 
 from itertools import cycle
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -13,23 +12,13 @@ from matplotlib.ticker import MaxNLocator
 from egolane_pgm.checking import INTERVAL
 from egolane_pgm.result import Result
 from egolane_pgm.views.frames import title_of
-from egolane_pgm.views.style import CROSSING, FAINT, INK, new_figure
 from egolane_pgm.views.style import DETECTOR_COLOUR as ORANGE
+from egolane_pgm.views.style import FAINT, INK, new_figure
 from egolane_pgm.views.style import MODEL_COLOUR as BLUE
-from egolane_pgm.views.tables import LOG_EVIDENCE, Table, cell, page, table
+from egolane_pgm.views.tables import Table, cell, page, table
 
 #: The three values of a statistic: colour and marker.
 _SOURCES = {"posterior": (BLUE, "o"), "model": (ORANGE, "s"), "truth": (INK, "D")}
-
-#: The scores of a sensitivity: name, factor and unit of the axis.
-_SCORES = {
-    "log_loss": ("log-loss", 1, "nats per frame; less is better"),
-    "accuracy": ("accuracy", 100, "percentage points"),
-    "log_evidence": ("log evidence", 1, "nats, sum over the frames"),
-}
-
-#: Colour and offset of the bars of a number moved down or up.
-_SIDES = {"down": (ORANGE, -0.19), "up": (BLUE, 0.19)}
 
 
 def check_text(result: Result, found: pd.DataFrame, calibration: pd.DataFrame) -> str:
@@ -110,39 +99,4 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
     sizes = "no node is observed alone" if calibration.empty else sizes
     entries = ax.get_legend_handles_labels()
     halves[1].legend(*entries, loc="outside lower center", ncols=4, title=sizes)
-    return figure
-
-
-def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
-    """Draw how far each score moves with each number, the most important number at the top.
-
-    - found: as `sensitivity` returns it.
-    """
-    panels = [name for name in _SCORES if found.filter(like=name).notna().any(axis=None)]
-    panels = panels or ["log_evidence"]
-    moved = found[[f"{panels[0]}_{side}" for side in _SIDES]].abs().max(axis=1).fillna(0)
-    found = found.loc[moved.sort_values(ascending=False, kind="stable").index]
-    y = np.arange(len(found))
-    figure = new_figure(9.2, 1.7 + 0.34 * len(found), f"{title}: each number moved alone")
-    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
-    for ax, name in zip(axes, panels, strict=True):
-        label, factor, unit = _SCORES[name]
-        for side, (colour, offset) in _SIDES.items():
-            change = factor * found[f"{name}_{side}"]
-            ax.barh(y + offset, change, 0.36, color=colour, label=f"number moved {side}")
-        for k in np.flatnonzero(found[[f"{name}_down", f"{name}_up"]].isna().all(axis=1)):
-            ax.text(0, k, " not comparable", fontsize=7, va="center", color=CROSSING)
-        ax.axvline(0, color=INK, lw=0.8)
-        ax.set(title=f"change of {label}", xlabel=unit)
-        ax.xaxis.set_major_locator(MaxNLocator(4))
-        ax.tick_params(axis="y", length=0)
-        ax.grid(axis="y", visible=False)
-    names = [
-        f"{row.Index} = {row.value:.4g} ({row.value_low:.4g} to {row.value_high:.4g})"
-        for row in found.itertuples()
-    ]
-    axes[0].set_yticks(y, names)
-    axes[0].set_ylim(len(found) - 0.5, -0.5)
-    look: dict[str, Any] = {"loc": "outside lower left", "ncols": 2, "alignment": "left"}
-    figure.legend(*axes[0].get_legend_handles_labels(), title=LOG_EVIDENCE, **look)
     return figure

@@ -40,9 +40,9 @@ def test_a_check_prints_its_table_above_the_files(saved: Path, tmp_path: Path) -
     shown = done("plot", saved, saved, "--check", "--out", tmp_path / "new").stdout.splitlines()
     title = "drive: does the model look like the data?"
     assert (shown[0], shown.count(title)) == (title, 2)
-    figures = [tmp_path / "new" / "result" / f"{name}.png" for name in ("check", "sensitivity")]
-    assert shown[-4:] == [str(figure) for figure in figures * 2]
-    assert all(figure.stat().st_size > 5000 for figure in figures)
+    figure = tmp_path / "new" / "result" / "check.png"
+    assert shown[-2:] == [str(figure)] * 2
+    assert figure.stat().st_size > 5000
 
 
 def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) -> None:

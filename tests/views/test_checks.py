@@ -1,4 +1,4 @@
-"""The text and the figures of predictive checks and of a sensitivity show their numbers."""
+"""The text and the figure of predictive checks show their numbers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
+from egolane_pgm.views.checks import check_figure, check_text
 from tests.kits.drives import run
 from tests.kits.tiny_result import legend_labels
 
@@ -62,22 +62,3 @@ def test_a_figure_has_each_statistic_and_each_bin() -> None:
     assert len(alone.axes) == 2
     [legend] = alone.subfigs[1].legends
     assert legend.get_title().get_text() == "no node is observed alone"
-
-
-def test_a_sensitivity_has_a_bar_per_change_and_the_largest_first() -> None:
-    found = ego.sensitivity(RESULT)
-    figure = sensitivity_figure(found, "a")
-    order = found[["log_loss_down", "log_loss_up"]].abs().max(axis=1).sort_values().index[::-1]
-    names = [label.get_text().split()[0] for label in figure.axes[0].get_yticklabels()]
-    assert names == list(order)
-    for ax, score in zip(figure.axes, ("log_loss", "accuracy", "log_evidence"), strict=True):
-        factor = 100 if score == "accuracy" else 1
-        for bars, side in zip(ax.containers, ("down", "up"), strict=True):
-            drawn = [bar.get_width() for bar in bars]
-            np.testing.assert_allclose(drawn, factor * found.loc[order, f"{score}_{side}"])
-    assert [t.get_text() for t in figure.axes[2].texts] == [" not comparable"]
-    blind = found.assign(**dict.fromkeys([c for c in found if c[:2] in ("ac", "lo")][:4], np.nan))
-    assert len(sensitivity_figure(blind, "a").axes) == 1
-    # Without ground truth, a graph of learned tables has the numbers of the evidence rule only.
-    nothing = sensitivity_figure(blind[:1], "a")
-    assert [t.get_text() for t in nothing.axes[0].texts] == [" not comparable"]
