@@ -220,7 +220,7 @@ def state_likelihood(
 
 
 def fixed_states(compiled: Compiled, n_frames: int) -> int:
-    """The number of joint states if a recursion is compiled for it; 0 for one of any size."""
+    """The number of joint states that a backward recursion is compiled for; 0 for any number."""
     is_fixed = n_frames >= MIN_FIXED_FRAMES and compiled.n_states <= MAX_FIXED_STATES
     return compiled.n_states if is_fixed else 0
 
@@ -263,7 +263,7 @@ def forward(
         run = forward_banded
         transition = band
     else:
-        is_fixed = fixed_states(compiled, n_frames) > 0
+        is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
         columns = tuple(map(tuple, compiled.column.tolist())) if is_fixed else ()
         run = forward_kernel(columns)
         transition = compiled.transition
