@@ -119,7 +119,9 @@ def lanes_seen(log: LineLog, experiment: Experiment) -> Iterator[str]:
     fits between the outermost continuous lines."""
     camera = read_camera(str(experiment.recording.camera))
     edge = np.where(log.is_valid & log.is_continuous, log.offset_m, np.nan)
-    width_m = np.fmax.reduce(edge, axis=1) - np.fmin.reduce(edge, axis=1)
+    # A recording without lines has no columns.
+    right_m, left_m = (each.reduce(edge, axis=1, initial=np.nan) for each in (np.fmax, np.fmin))
+    width_m = right_m - left_m
     lanes = np.round(width_m[width_m > 0] / (camera.lane_width_m or USUAL_LANE_M))
     other = lanes[lanes != experiment.n_lanes]
     other_s = len(other) * float(np.ptp(log.time_s)) / len(log)
