@@ -1,19 +1,15 @@
-"""EM: the most probable tables of a network, or numbers from which they follow, given evidence and
-known values of hidden nodes.
+"""EM: the most probable tables of a network, given evidence and known values of hidden nodes.
 
 The prior of each row of a table is Dirichlet(1 + strength * row). Its mode is the row itself, and
 it weighs as much as `strength` frames. An entry that is above zero at the start stays above zero,
 however rarely it is used; a zero is part of the structure and stays zero.
-
-Tied numbers, such as sigma1 and p1, have a flat prior within their bounds. Soft evidence is linear
-in a table's row, so a maximum often lies at a bound.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -29,9 +25,6 @@ TOLERANCE = 1e-6
 #: A row with a smaller expected count keeps its start: its counts have lost their digits.
 _NEGLIGIBLE = 1e-280
 
-#: The smallest probability whose logarithm counts in the M step of numbers.
-_TINY = 1e-300
-
 #: Nodes with more values are not searched for values with the same tables.
 _FEW = 10
 
@@ -43,9 +36,6 @@ STRENGTH = 100.0
 #: The M step of a table in a form of its own: from its expected counts to its values and their log
 #: prior, relative to the start.
 Step = Callable[[FloatArray], tuple[FloatArray, float]]
-
-#: From numbers (D,) to the tables of the network, of both slices.
-TablesOf = Callable[[FloatArray], Sequence[Table]]
 
 #: Evidence, known values and the beginnings of sequences, as `expected_counts` takes them.
 Data = tuple[Evidence, Mapping[str, IntArray], BoolArray | None]
@@ -64,7 +54,7 @@ class Learned:
       evidence, with the other sign, at the start and at the end.
     - is_impossible (T,): marks frames whose evidence, together with the known values, has
       probability zero.
-    - numbers (D,): of tied parameters. draws (K, D): of their posterior, by `gradient_fit` only.
+    - numbers (D,): of tied parameters, by `gradient_fit`. draws (K, D): of their posterior.
     """
 
     compiled: Compiled
@@ -223,68 +213,3 @@ def _log_ratio(declared: Table, now: Table) -> float:
     old, new = declared.values, now.values
     allowed = old > 0
     return float((old[allowed] * (np.log(new[allowed]) - np.log(old[allowed]))).sum())
-
-
-# --- tied numbers ---------------------------------------------------------------------------------
-
-
-def fit_tied(
-    compiled: Compiled,
-    evidence: Evidence,
-    tables_of: TablesOf,
-    start: Sequence[float],
-    bounds: Sequence[tuple[float, float]],
-    known: Mapping[str, IntArray] | None = None,
-    is_first: BoolArray | None = None,
-    *,
-    iterations: int = 100,
-) -> Learned:
-    """Find the most probable numbers by EM, with a flat prior.
-
-    - compiled: the network; its structure must be that of the tables.
-    - tables_of: the tables of numbers (D,), of both slices.
-    - start, bounds: of the D numbers; a start out of bounds is moved into them.
-    - known, is_first: as `expected_counts`.
-
-    Raises InputError as `expected_counts`.
-    """
-    low, high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
-    numbers = np.clip(np.asarray(start, dtype=np.float64), low, high)
-
-    def maximise(counts: Mapping[SliceNode, FloatArray]) -> tuple[Compiled, float]:
-        nonlocal numbers
-        numbers = _maximised(counts, tables_of, numbers, (low, high))
-        return with_tables(compiled, tables_of(numbers)), 0.0
-
-    first = with_tables(compiled, tables_of(numbers))
-    found = iterate(first, 0.0, (evidence, known or {}, is_first), maximise, iterations)
-    return replace(found, numbers=numbers)
-
-
-def _maximised(
-    counts: Mapping[SliceNode, FloatArray],
-    tables_of: TablesOf,
-    numbers: FloatArray,
-    bounds: tuple[FloatArray, FloatArray],
-) -> FloatArray:
-    """Return numbers at which the expected log likelihood is at its largest."""
-    # Slow to import.
-    from scipy.optimize import minimize
-
-    def loss(at: FloatArray) -> float:
-        tables = {table.node: table.values for table in tables_of(np.clip(at, *bounds))}
-        logs = {node: np.log(np.maximum(tables[node], _TINY)) for node in counts}
-        return -sum(float((count * logs[node]).sum()) for node, count in counts.items())
-
-    with warnings.catch_warnings():
-        # Nelder and Mead's start is moved into the bounds.
-        warnings.simplefilter("ignore")
-        found = minimize(
-            loss,
-            numbers,
-            method="Nelder-Mead",
-            bounds=np.stack(bounds, axis=1),
-            options={"xatol": 1e-5, "fatol": 1e-4, "maxfev": 200 * len(numbers)},
-        )
-    # The expected log likelihood never falls, so the log evidence does not.
-    return np.clip(found.x, *bounds) if found.fun <= loss(numbers) else numbers

@@ -40,7 +40,7 @@ from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.scoring.bootstrap import LEVEL
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies import em
-from egolane_pgm.studies.gradient_fit import fit_numbers_to_known, fit_tables_to_known
+from egolane_pgm.studies.gradient_fit import TablesOf, fit_numbers, fit_tables_to_known
 from egolane_pgm.studies.objective import (
     PREFIX,
     beliefs_at,
@@ -230,7 +230,7 @@ def fit_graph(
     """Learn the tables or the parameters of the graph from all drives.
 
     They are fitted to the labels, which the filter predicts (`gradient_fit`), or to lines and
-    labels by EM (`em`); see `objective_of_learning`. The lane of a labelled frame is known, except
+    labels together (tables by `em`); see `objective_of_learning`. The lane of a labelled frame is known, except
     while crossing. The best of `fit.trials` starts is kept: the declared values, then random ones.
     """
     model = drives[0].model
@@ -321,7 +321,7 @@ def _tables_from(drives: Sequence[Drive], data: em.Data, k: int) -> tuple[em.Lea
 def _parameters_from(drives: Sequence[Drive], data: em.Data, k: int) -> tuple[em.Learned, Fitted]:
     """Learn parameters from start k; start 0 is the experiment's values.
 
-    The prior of a fit to the labels is around these values, that of EM is flat.
+    The prior of a fit to the labels is around these values; another one has a flat prior.
     """
     start = start_of_learning(drives[0].model)
     space, tables_of = tied_tables(drives)
@@ -332,22 +332,19 @@ def _parameters_from(drives: Sequence[Drive], data: em.Data, k: int) -> tuple[em
     drawn = [from_unit(d, unit) for d, unit in zip(ends, units, strict=True)]
     first = drawn if k else own
     bounds = [(d.low, d.high) for d in ends]
+    prior: dict[str, Any] = {}
     if objective_of_learning(start) == "log_loss":
-        scales = {s.name for s in start.graph.parameters if s.kind in ("sigma", "positive")}
-        is_scale = [key.partition("[")[0] in scales for key in space.distributions]
+        prior = {"block": options.block, "centre": own}
         if not may_be_tuned(start.experiment.tuned_on):
             check_inside(space, own, f"{start.experiment.source}: parameters")
-        learned = fit_numbers_to_known(
-            start.compiled, data, tables_of, first, bounds, is_scale, block=options.block,
-            centre=own,
-        )  # fmt: skip
-    else:
-        learned = em.fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
+    scales = {s.name for s in start.graph.parameters if s.kind in ("sigma", "positive")}
+    is_scale = [key.partition("[")[0] in scales for key in space.distributions]
+    learned = fit_numbers(start.compiled, data, tables_of, first, bounds, is_scale, **prior)
     point = dict(zip(space.distributions, learned.numbers.tolist(), strict=True))
     return learned, Fitted(searched_values(space, options, point))
 
 
-def tied_tables(drives: Sequence[Drive]) -> tuple[SearchSpace, em.TablesOf]:
+def tied_tables(drives: Sequence[Drive]) -> tuple[SearchSpace, TablesOf]:
     """The space of the parameters of the graph that are learned, and their tables by its
     coordinates."""
     start = start_of_learning(drives[0].model)

@@ -1,10 +1,11 @@
-"""Fits to known values: tables, or numbers from which they follow, that make the known values most
+"""Fits by gradient: tables, or numbers from which they follow, that make the known values most
 probable under the filter.
 
 EM describes evidence and labels together; this fit minimises what a held-out score measures, the
 log-loss of the filter. Neighbouring frames are nearly the same frame, so `block` of them weigh as
 much as one against the prior. L-BFGS finds the minimum from the exact gradient
-(`inference.gradient`).
+(`inference.gradient`). Numbers can be fitted to evidence and labels together, too: the expected
+counts of EM are the gradient of the log evidence (Fisher's identity).
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, counted_tables, with_tables
+from egolane_pgm.inference.expected_counts import expected_counts
 from egolane_pgm.inference.gradient import log_loss_gradient
-from egolane_pgm.studies.em import Data, Learned, TablesOf, strength_of, with_learned
+from egolane_pgm.studies.em import Data, Learned, strength_of, with_learned
+from egolane_pgm.studies.space import OPEN_END
 from egolane_pgm.studies.structures import NOT_REPEATED, repetition
-from egolane_pgm.types import FloatArray
+from egolane_pgm.types import BoolArray, FloatArray
 
 #: The smallest entry above zero of a table.
 SMALLEST_ENTRY = float(np.finfo(np.float64).tiny)
@@ -28,7 +31,7 @@ SMALLEST_ENTRY = float(np.finfo(np.float64).tiny)
 #: The step of central differences, in the coordinates of the numbers.
 STEP = 1e-5
 
-#: A number keeps this distance from its bounds, as a share of the range.
+#: A fit starts at this distance from the bounds of a number, or farther, as a share of the range.
 INSIDE = 1e-3
 
 #: The step of the second derivatives, in the coordinates of the numbers.
@@ -43,6 +46,9 @@ Gradient = Mapping[SliceNode, FloatArray]
 #: Coordinates (D,), and the gradient of the log-loss per block -> minus the log prior, and the
 #: gradient of the sum of both by the coordinates.
 Descent = Callable[[FloatArray, Gradient], tuple[float, FloatArray]]
+
+#: From numbers (D,) to the tables of the network, of both slices.
+TablesOf = Callable[[FloatArray], Sequence[Table]]
 
 
 @dataclass(frozen=True)
@@ -146,11 +152,11 @@ def fit_tables_to_known(
         for node, form in forms.items()
     ]
     x, bounds = np.concatenate(first), list(chain.from_iterable(ends))
-    learned, _, _ = _minimised(network_of, descent, x, bounds, data, block, iterations)
+    learned, _, _ = _minimised(label_loss, network_of, descent, x, bounds, data, block, iterations)
     return learned
 
 
-def fit_numbers_to_known(
+def fit_numbers(
     compiled: Compiled,
     data: Data,
     tables_of: TablesOf,
@@ -158,29 +164,30 @@ def fit_numbers_to_known(
     bounds: Sequence[tuple[float, float]],
     is_scale: Sequence[bool],
     *,
-    block: float,
-    centre: Sequence[float],
+    block: float = 1,
+    centre: Sequence[float] | None = None,
     iterations: int = 100,
 ) -> Learned:
-    """Fit numbers to known values.
+    """Fit numbers to known values; without a `centre`, to evidence and known values together.
 
     The coordinate of a scale, such as sigma1, is its logarithm, that of another number the logit of
     its position within its bounds.
 
     - data, block, iterations: as in `fit_tables_to_known`.
-    - tables_of, start, bounds: as in `em.fit_tied`.
+    - tables_of: the tables of numbers (D,), of both slices.
+    - start, bounds: of the D numbers; a start out of bounds is moved into them.
     - is_scale: which of the D numbers are scales.
-    - centre: of the prior, which is normal with a standard deviation of 1 in the coordinates.
+    - centre: of the prior, which is normal with a standard deviation of 1 in the coordinates. None
+      for the most probable numbers given evidence and known values, with a flat prior.
 
-    The `draws` of the result are of Laplace's approximation of the posterior: a normal distribution
-    in the coordinates with the second derivatives of the log posterior at its maximum.
+    The `draws` of a result with a prior are of Laplace's approximation of the posterior: a normal
+    distribution in the coordinates with the second derivatives of the log posterior at its maximum.
     """
     low, high = np.array(bounds, dtype=np.float64).T
     logs = np.array(is_scale)
 
-    def coordinates(numbers: FloatArray) -> FloatArray:
-        # A number at its bound is a little inside.
-        unit = np.clip((numbers - low) / (high - low), INSIDE, 1 - INSIDE)
+    def coordinates(numbers: FloatArray, margin: float = INSIDE) -> FloatArray:
+        unit = np.clip((numbers - low) / (high - low), margin, 1 - margin)
         logits = np.log(unit / (1 - unit))
         return np.asarray(np.where(logs, np.log(low + unit * (high - low)), logits))
 
@@ -193,11 +200,11 @@ def fit_numbers_to_known(
     def network_of(x: FloatArray) -> Compiled:
         return with_tables(compiled, tables_of(numbers_at(x)))
 
-    middle = coordinates(np.asarray(centre))
+    middle = None if centre is None else coordinates(np.asarray(centre))
 
     def descent(x: FloatArray, gradient: Gradient) -> tuple[float, FloatArray]:
         now = tables_at(x)
-        slope = x - middle
+        slope = np.zeros(len(x)) if middle is None else x - middle
         cost = float((slope * slope).sum()) / 2
         by_entry = {
             node: np.divide(g, now[node], out=np.zeros_like(g), where=now[node] > 0)
@@ -209,9 +216,14 @@ def fit_numbers_to_known(
             slope[k] += sum(float((g * moved[node]).sum()) for node, g in by_entry.items())
         return cost, slope
 
-    ends = list(zip(coordinates(low), coordinates(high), strict=True))
+    ends = list(zip(coordinates(low, OPEN_END), coordinates(high, OPEN_END), strict=True))
     first = coordinates(np.asarray(start))
-    learned, x, slope_at = _minimised(network_of, descent, first, ends, data, block, iterations)
+    loss_of = evidence_loss if centre is None else label_loss
+    learned, x, slope_at = _minimised(
+        loss_of, network_of, descent, first, ends, data, block, iterations
+    )
+    if centre is None:
+        return replace(learned, numbers=numbers_at(x))
     steps = HESSIAN_STEP * np.eye(len(x))
     hessian = np.array([slope_at(x + step) - slope_at(x - step) for step in steps])
     curvature, axes = np.linalg.eigh((hessian + hessian.T) / (4 * HESSIAN_STEP))
@@ -222,7 +234,21 @@ def fit_numbers_to_known(
     return replace(learned, numbers=numbers_at(x), draws=numbers_at(draws))
 
 
+def label_loss(compiled: Compiled, data: Data) -> tuple[float, Gradient, BoolArray]:
+    """The log-loss of known values, its gradient, and the impossible frames."""
+    found = log_loss_gradient(compiled, *data)
+    return found.loss, found.gradient, found.is_impossible
+
+
+def evidence_loss(compiled: Compiled, data: Data) -> tuple[float, Gradient, BoolArray]:
+    """Minus the log evidence with the known values, its gradient, and the impossible frames."""
+    found = expected_counts(compiled, *data)
+    gradient = {node: -counts for node, counts in found.counts.items()}
+    return -found.log_evidence, gradient, found.is_impossible
+
+
 def _minimised(
+    loss_of: Callable[[Compiled, Data], tuple[float, Gradient, BoolArray]],
     network_of: Callable[[FloatArray], Compiled],
     descent: Descent,
     start: FloatArray,
@@ -231,7 +257,7 @@ def _minimised(
     block: float,
     iterations: int,
 ) -> tuple[Learned, FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Minimise the log-loss per block less the log prior.
+    """Minimise a loss per block less the log prior.
 
     Returns the fit, its coordinates, and the gradient as a function of them.
     """
@@ -239,18 +265,16 @@ def _minimised(
     from scipy.optimize import minimize
 
     history: list[float] = []
-    evidence, known, is_first = data
-    weight = np.full(len(evidence), 1 / block)
 
     def loss(x: FloatArray) -> tuple[float, FloatArray]:
-        found = log_loss_gradient(network_of(x), evidence, known, is_first, weight=weight)
-        cost, slope = descent(x, found.gradient)
-        history.append(-found.loss - cost)
+        value, gradient, _ = loss_of(network_of(x), data)
+        cost, slope = descent(x, {node: each / block for node, each in gradient.items()})
+        history.append(-value / block - cost)
         return -history[-1], slope
 
     options = {"maxiter": iterations}
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=ends, options=options)
     network = network_of(found.x)
-    is_impossible = log_loss_gradient(network, *data).is_impossible
+    _, _, is_impossible = loss_of(network, data)
     learned = Learned(network, np.array([history[0], -found.fun]), is_impossible)
     return learned, found.x, lambda x: loss(x)[1]

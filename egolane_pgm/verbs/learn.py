@@ -39,8 +39,9 @@ def learn(
     other rule the tables of the graph are learned, or its parameters (fit.learns=parameters). By
     default they minimise the log-loss of the lane, over trusted frames without a lane change, with
     a prior around their start. With fit.objective=log_evidence, or from lines alone
-    (fit.labels=false), they are learned by EM. The best of fit.trials starts is kept. Each fold is
-    scored with a fit to the frames of the other folds.
+    (fit.labels=false), they make lines and labels most probable: tables by EM, with a prior,
+    parameters without. The best of fit.trials starts is kept. Each fold is scored with a fit to the
+    frames of the other folds.
 
     - experiments: one, or a list: experiments, results, studies or lines.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.

@@ -12,10 +12,11 @@ from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior, sticky, uniform, within
 from egolane_pgm.inference.compile import Compiled, compile_tables, counted_tables
 from egolane_pgm.inference.expected_counts import FREE
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.gradient import log_loss_gradient
 from egolane_pgm.inference.sampling import sample
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.studies.gradient_fit import fit_numbers_to_known, fit_tables_to_known
+from egolane_pgm.studies.gradient_fit import fit_numbers, fit_tables_to_known
 from egolane_pgm.studies.structures import repetition
 from egolane_pgm.types import Evidence, IntArray
 from tests.conftest import needs_compiler
@@ -63,7 +64,7 @@ def test_six_numbers_end_where_a_direct_search_of_the_same_sum_ends() -> None:
         loss = log_loss_gradient(network_of(v), *data).loss
         return loss / block + float(((coordinates(v) - coordinates(start)) ** 2).sum()) / 2
 
-    fit = fit_numbers_to_known(
+    fit = fit_numbers(
         network_of(START), data, tables_of, START, BOUNDS, IS_SCALE, block=block, centre=START
     )
     assert fit.log_posterior[-1] == pytest.approx(-cost(fit.numbers), rel=1e-6)
@@ -122,3 +123,35 @@ def test_a_detector_that_repeats_itself_is_found_from_no_repetition() -> None:
     assert rho[0] == pytest.approx(0.8, abs=0.1)
     losses = [log_loss_gradient(each, *data).loss for each in (network(0.8), fit.compiled)]
     assert losses[1] < losses[0]
+
+
+def log_evidence(evidence: Evidence, numbers: Any) -> float:
+    return float(filter_beliefs(network_of(numbers), evidence).log_evidence.sum())
+
+
+def test_numbers_without_labels_end_where_a_direct_search_of_the_evidence_ends() -> None:
+    evidence, _, _ = drawn(4000)
+    network = network_of(TRUE)
+    fit = fit_numbers(network, (evidence, {}, None), tables_of, START, BOUNDS, IS_SCALE)
+    assert fit.log_posterior[-1] == pytest.approx(log_evidence(evidence, fit.numbers))
+    direct = minimize(
+        lambda x: -log_evidence(evidence, x),
+        START,
+        method="Nelder-Mead",
+        bounds=BOUNDS,
+        options={"maxfev": 1500, "xatol": 1e-4, "fatol": 1e-3},
+    )
+    assert fit.log_posterior[-1] > -direct.fun - 0.5
+    np.testing.assert_allclose(fit.numbers, TRUE, atol=0.12)
+
+
+def test_a_start_out_of_bounds_is_moved_into_them() -> None:
+    short, _, _ = drawn(300)
+    network = network_of(START)
+    found = [
+        fit_numbers(
+            network, (short, {}, None), tables_of, [*START[:5], p4], BOUNDS, IS_SCALE, iterations=3
+        ).numbers
+        for p4 in (1.0, 1.5)
+    ]
+    np.testing.assert_array_equal(*found)
