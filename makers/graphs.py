@@ -81,52 +81,46 @@ def judged(frames: pd.DataFrame) -> FloatArray:
     """The log-loss and whether the lane is right in each frame, and whether it counts (K, 3)."""
     belief = frames.filter(regex=r"^Lane_\d+$").to_numpy()
     lane = frames["true_lane"].to_numpy(int)
-    counts = ~frames["is_crossing"].to_numpy(bool)
-    loss = log_loss_per_frame(belief, lane)
-    return (
-        np.stack([loss, belief.argmax(axis=1) + 1 == lane, np.ones(len(lane))], axis=1)
-        * counts[:, None]
-    )
+    is_right = belief.argmax(axis=1) + 1 == lane
+    values = [log_loss_per_frame(belief, lane), is_right, np.ones(len(lane))]
+    return np.array(values).T * ~frames[["is_crossing"]].to_numpy(bool)
 
 
 def fits() -> None:
     """Write fits.md: what the paper's graph is best fitted to, on unseen frames."""
-    found: dict[str, dict[int, FloatArray]] = {name: {} for name in FITS}
+    found: dict[str, dict[int, FloatArray]] = {}
     for name, keys in FITS.items():
-        for run in range(1, 11):
-            result = ego.run(of_fit(run, **keys, **{"fit.folds": 3}), held_out=True)
-            found[name][run] = judged(result.frames)
-    other = found["numbers to the labels of the other road"] = {}
-    for road, target in (("Italy", "Spain"), ("Spain", "Italy")):
-        learn = {"fit.learns": "parameters"}
-        study = ego.learn([of_fit(run, **learn) for run in LINES[road]], folds=0)
-        for run in LINES[target]:
-            frames = ego.run(of_fit(run, parameters={**study.experiment.parameters})).frames
-            other[run] = judged(frames)
-    names = {run: paper_experiment(run).stem.split("_")[-1] for run in range(1, 11)}
-    rows, each = {}, {}
-    for name, runs in found.items():
-        lines = [run for runs_of in LINES.values() for run in runs_of]
-        row = rows[name] = {}
-        for k, score in enumerate(("log-loss", "accuracy")):
-            pairs = [(runs[run][:, [k, 2]], found["defaults"][run][:, [k, 2]]) for run in lines]
-            mine, start = map(list, zip(*pairs, strict=True))
-            row[score] = np.mean([side[:, 0].sum() / side[:, 1].sum() for side in mine])
-            change = bootstrap_interval(mine, mean, minus=start, seeds=[0] * 4 + [1] * 4)
-            row |= {f"change in {score}": change.estimate}
-            row |= {f"change in {score}_low": change.low, f"change in {score}_high": change.high}
-        each[name] = {
-            f"{run} {names[run]}": runs[run][:, 0].sum() / runs[run][:, 2].sum()
-            if run in runs
-            else None
-            for run in names
+        settings = {**keys, "fit.folds": 3}
+        found[name] = {
+            k: judged(ego.run(of_fit(k, **settings), held_out=True).frames) for k in range(1, 11)
         }
-    table_of = pd.DataFrame(rows).T.rename_axis("fit")
-    forms = {c: "+.3f" if c.startswith("change") else ".3f" for c in table_of}
-    of_runs = pd.DataFrame(each).T.rename_axis("log-loss")
+    other = found["numbers to the labels of the other road"] = {}
+    for road, runs in LINES.items():
+        study = ego.learn([of_fit(k, **FITS["numbers to the labels"]) for k in runs], folds=0)
+        keys = {"parameters": {**study.experiment.parameters}}
+        for k in LINES["Spain" if road == "Italy" else "Italy"]:
+            other[k] = judged(ego.run(of_fit(k, **keys)).frames)
+    rows: dict[str, dict[str, Any]] = {}
+    for name, each in found.items():
+        rows[name] = {}
+        for column, score in enumerate(("log-loss", "accuracy")):
+            mine, start = (
+                [side[k][:, [column, 2]] for runs in LINES.values() for k in runs]
+                for side in (each, found["defaults"])
+            )
+            change = bootstrap_interval(mine, mean, minus=start, seeds=[0] * 4 + [1] * 4)
+            ends = {"": change.estimate, "_low": change.low, "_high": change.high}
+            rows[name][score] = np.mean([mean(side.sum(axis=0)) for side in mine])
+            rows[name] |= {f"change in {score}{end}": value for end, value in ends.items()}
+    losses = {
+        n: {k: mean(v[:, [0, 2]].sum(axis=0)) for k, v in r.items()} for n, r in found.items()
+    }
+    of_runs = pd.DataFrame(losses).T.rename_axis("log-loss of run").astype(float)
+    of_fits = pd.DataFrame(rows).T.rename_axis("eight runs of line detectors")
+    forms = {c: "+.3f" if c.startswith("change") else ".3f" for c in of_fits}
     parts = [
         "# What is the graph fitted to?\n\nMade by `make graphs`; [how](README.md#how).",
-        page([table(table_of, forms)], style="wide"),
+        page([table(of_fits, forms)], style="wide"),
         page([table(of_runs, dict.fromkeys(of_runs, ".3f"))], style="wide"),
     ]
     write_text(PAGES / "fits.md", "\n\n".join(parts) + "\n")
@@ -138,7 +132,7 @@ def searched(run: int) -> tuple[Exploration, Exploration, Tried]:
     problem = make_problem(drives, block_folds(drives, 3))
     bic = explore(make_problem(drives, (), judge="bic"), EDGES, directory=place / "bic")
     found = explore(problem, EDGES, directory=place)
-    return found, bic, Tried(problem, place, jobs=1, cluster=None)
+    return found, bic, Tried(problem, place)
 
 
 def gain_of(tried: Tried, structure: Structure) -> FloatArray:

@@ -230,8 +230,9 @@ def fit_graph(
     """Learn the tables or the parameters of the graph from all drives.
 
     They are fitted to the labels, which the filter predicts (`gradient_fit`), or to lines and
-    labels together (tables by `em`); see `objective_of_learning`. The lane of a labelled frame is known, except
-    while crossing. The best of `fit.trials` starts is kept: the declared values, then random ones.
+    labels together (tables by `em`); see `objective_of_learning`. The lane of a labelled frame is
+    known, except while crossing. The best of `fit.trials` starts is kept: the declared values, then
+    random ones.
     """
     model = drives[0].model
     options, source = model.experiment.fit, model.experiment.source
