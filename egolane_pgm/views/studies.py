@@ -166,12 +166,12 @@ def profile_table(profile: pd.DataFrame, posterior: pd.DataFrame) -> Table:
 _QUESTIONS = {
     "log_loss": (
         "to the labels",
-        "which edge helps the answer; which edge is in the data: --judge bic",
+        "which edge helps the answer; for which edge is in the data, judge by bic",
     ),
     "log_evidence": (
         "by EM",
-        "which edge is in the data, if BIC or log evidence judges; which edge helps the answer:"
-        " --judge log_loss",
+        "which edge is in the data, if BIC or log evidence judges; for which edge helps the answer,"
+        " judge by log_loss",
     ),
 }
 
