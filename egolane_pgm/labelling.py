@@ -49,7 +49,7 @@ class Labels:
     >>> import egolane_pgm as ego
     >>> labels = ego.label("zero_label", overrides={"recording.frames": [0, 300]})
     >>> labels.frames["lane"].value_counts().to_dict()
-    {1: 197, 2: 70, 3: 33}
+    {1: 198, 2: 69, 3: 33}
     """
 
     run: Result

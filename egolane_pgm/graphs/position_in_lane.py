@@ -7,17 +7,23 @@ this drift. The evidence (`evidence.line_geometry`) is a joint likelihood of Roa
 SensorState. An OK sensor is evidence of the lane and the position in it, a BAD one of the position
 in the lane only.
 
+Time passes in ticks of a tenth of a second, whatever the frame rate.
+
 The first cell of RoadPosition is the leftmost one of lane 1. SensorState has the values OK (0) and
-BAD (1). The first `motion_bins` values of LineMotion are intervals of the displacement, from
--MOTION_RANGE to MOTION_RANGE, in lane widths. One value for each entry of `STEPS` and of `COASTING`
-follows: the number of frames since the previous one, and the velocity of the lines before. A
-vehicle that loses its lines in a lane change so completes the change.
+BAD (1). LineMotion has values for
+
+- the displacement of the lines over a tick: `motion_bins` intervals from -MOTION_RANGE to
+  MOTION_RANGE, in lane widths;
+- the same over two ticks or more;
+- a frame in which no tick begins;
+- ticks without a displacement: one for each entry of `SHOWN`, `TICKS` and `COASTING`. A car that
+  loses its lines in a lane change so completes the change.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -36,26 +42,32 @@ from egolane_pgm.graphs.cpds import (
 from egolane_pgm.graphs.sensor_failure import P1, P2
 from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.tools.jit import kernel
-from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 HIDDEN = ("RoadPosition", "Lane", "SensorState")
 OBSERVED = (("RoadPosition", "SensorState"),)
 INPUTS = ("LineMotion",)
 VALUES = {"SensorState": ("OK", "BAD")}
 
-#: The numbers of frames since the previous one, for the values of LineMotion after a gap. A gap
-#: counts as the next larger entry, or the last one.
-STEPS = (2, 3, 4, 6, 8, 10, 12, 16, 24, 64, 256)
+#: Numbers of ticks without a displacement. A number counts as the nearest one, by its logarithm.
+TICKS = (1, 2, 4, 8, 16, 32, 128)
 
-#: How the lines moved before a gap, lane widths per frame. A quick lane change is 0.06.
-COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
+#: How the lines moved before, lane widths per tick. A quick lane change is 0.06.
+COASTING = tuple(0.06 * k / 8 for k in range(-8, 9))
 
-#: The share of that velocity which is left after a frame without lines: a lane change takes two
-#: seconds or more.
-KEPT_VELOCITY = 0.98
+#: The share of that velocity which is left after a tick without a displacement.
+KEPT_VELOCITY = 0.99
 
-#: The weight of the wide normal in each frame of a gap, of whose motion nothing is known.
-_GAP_SHARE = 0.1
+#: The weight of the wide normal in a tick without a displacement, by what the sensor shows: the
+#: lines of its own lane only, or others as well. The second kind loses its lines in other ways.
+SHOWN = {"own": 0.03, "all": 0.3}
+
+#: Motion in a tick without a displacement: the gain near the middle of the lane and near its lines,
+#: the distances from the middle where the one ends and the other begins, lane widths, and the
+#: standard deviation. A car in the middle of its lane stays there, one on its way across goes on.
+_UNSEEN_GAIN = (0.4, 2.0)
+_UNSEEN_PLACE = (0.15, 0.35)
+_UNSEEN = {"motion_sigma": 0.03}
 
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
 CELLS = Parameter(
@@ -70,7 +82,7 @@ MOTION_BINS = Parameter(
     highest=1000,
 )
 
-#: The largest displacement of a line from frame to frame that is followed, lane widths.
+#: The largest displacement of a line that is followed, lane widths.
 MOTION_RANGE = 0.2
 
 PARAMETERS = (
@@ -87,14 +99,14 @@ PARAMETERS = (
         "motion_sigma",
         "sigma",
         0.04,
-        "standard deviation of the motion from frame to frame, lane widths",
+        "standard deviation of the motion in a tenth of a second, lane widths",
         search=(0.005, 0.1),
     ),
     Parameter(
         "motion_sigma_wide",
         "sigma",
         0.12,
-        "the same for the share of frames in which the displacement misleads, lane widths",
+        "the same for the share of time in which the displacement misleads, lane widths",
         search=(0.05, 0.3),
     ),
     Parameter("wide_share", "probability", 0.03, "weight of the wide normal", search=(0.01, 0.3)),
@@ -113,10 +125,10 @@ PARAMETERS = (
     replace(P2, default=0.85),
 )
 
-#: The probability of a jump to anywhere on the road, per frame.
+#: The probability of a jump to anywhere on the road in a tick.
 _JUMP = 1e-5
 
-#: The largest move of RoadPosition in one frame, lanes.
+#: The largest move of RoadPosition in one tick, lanes.
 _BAND = 0.5
 
 #: How far inside of its start a move ends that would leave the road, lanes. There the lines
@@ -131,50 +143,57 @@ _WIDEST = 100.0
 
 def motion_values(parameters: Mapping[str, Value]) -> int:
     """The number of values of LineMotion."""
-    return int(number(parameters, "motion_bins")) + len(STEPS) * len(COASTING)
+    n_bins = int(number(parameters, "motion_bins"))
+    return 2 * n_bins + 1 + len(SHOWN) * len(TICKS) * len(COASTING)
 
 
 def motion_index(
-    displacement: FloatArray, steps: IntArray, velocity: FloatArray, parameters: Mapping[str, Value]
+    displacement: FloatArray,
+    ticks: IntArray,
+    velocity: FloatArray,
+    shows_own: BoolArray,
+    parameters: Mapping[str, Value],
 ) -> IntArray:
     """The value of LineMotion in each frame, (T,).
 
-    - displacement: (T,) of the lines since the frame before, lane widths; NaN where unknown
-    - steps: (T,) frames that have passed since the frame before, at least 1
-    - velocity: (T,) of the lines before, lane widths per frame
-
-    An unknown displacement, or one that is out of range, counts as the velocity. One that spans
-    several frames counts as unknown.
+    - displacement: (T,) of the lines over the ticks that begin with the frame, lane widths; NaN
+      where unknown. One that is out of range counts as unknown.
+    - ticks: (T,)
+    - velocity: (T,) of the lines before, lane widths per tick
+    - shows_own: (T,) whether the sensor shows the lines of its own lane only
     """
-    index = np.empty(len(steps), dtype=np.int64)
     n_bins = int(number(parameters, "motion_bins"))
-    _index_motion(displacement, steps, velocity, n_bins, MOTION_RANGE, index)
+    index = np.empty(len(ticks), dtype=np.int64)
+    _index_motion(displacement, ticks, velocity, shows_own, n_bins, index)
     return index
 
 
 @kernel()
 def _index_motion(
     displacement: FloatArray,
-    steps: IntArray,
+    ticks: IntArray,
     velocity: FloatArray,
+    shows_own: BoolArray,
     n_bins: int,
-    reach: float,
     index: IntArray,
 ) -> None:
     """Fills index (T,); see `motion_index`."""
     middle = len(COASTING) // 2
-    most = COASTING[-1]
     for t in range(len(index)):
-        if steps[t] == 1:
-            moved = displacement[t] if abs(displacement[t]) < reach else velocity[t]
-            share = (min(max(moved, -reach), reach) / reach + 1) / 2
-            index[t] = min(int(share * n_bins), n_bins - 1)
+        if ticks[t] == 0:
+            index[t] = 2 * n_bins
+        elif abs(displacement[t]) < MOTION_RANGE:
+            share = (displacement[t] / MOTION_RANGE + 1) / 2
+            index[t] = min(int(share * n_bins), n_bins - 1) + (n_bins if ticks[t] > 1 else 0)
         else:
-            passed = 0
-            while passed < len(STEPS) - 1 and STEPS[passed] < steps[t]:
-                passed += 1
-            coasting = int(np.rint(min(max(velocity[t] / most, -1.0), 1.0) * middle)) + middle
-            index[t] = n_bins + passed * len(COASTING) + coasting
+            k = len(TICKS) - 1
+            while k > 0 and ticks[t] ** 2 < TICKS[k] * TICKS[k - 1]:
+                k -= 1
+            # The lines go as far as in the true time.
+            way = velocity[t] * (1 - KEPT_VELOCITY ** ticks[t]) / (1 - KEPT_VELOCITY ** TICKS[k])
+            coasting = int(np.rint(min(max(way / COASTING[-1], -1.0), 1.0) * middle)) + middle
+            k += 0 if shows_own[t] else len(TICKS)
+            index[t] = 2 * n_bins + 1 + k * len(COASTING) + coasting
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
@@ -206,17 +225,33 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 
 def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
     """The transition of RoadPosition, (R, R), for each value of LineMotion."""
-    transition = partial(moved, n_positions=n_positions, cells=cells, parameters=parameters)
-    in_gap = partial(transition, parameters={**parameters, "wide_share": _GAP_SHARE})
-    after_gap = [_coasted(in_gap, velocity) for velocity in COASTING]
-    moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
-    return [transition(displacement) for displacement in known_displacements(parameters)] + moves
+    transition = partial(moved, n_positions=n_positions, cells=cells)
+    twice = {**parameters, "motion_sigma": math.sqrt(2) * number(parameters, "motion_sigma")}
+    displacements = known_displacements(parameters)
+    found = [
+        transition(each, parameters=at) for at in (parameters, twice) for each in displacements
+    ]
+    found.append(np.eye(n_positions))
+    place = np.abs((np.arange(cells) + 0.5) / cells - 0.5)
+    on_way = np.tile(np.interp(place, _UNSEEN_PLACE, (0, 1)), n_positions // cells)[:, None]
+    stays, goes_on = ({**parameters, **_UNSEEN, "motion_gain": gain} for gain in _UNSEEN_GAIN)
+    for share in SHOWN.values():
+        shown = {"wide_share": share}
+        unseen = [
+            (1 - on_way) * transition(velocity, parameters=stays | shown)
+            + on_way * transition(velocity, parameters=goes_on | shown)
+            for velocity in COASTING
+        ]
+        by_velocity = [_coasted(unseen, velocity) for velocity in COASTING]
+        found += [over[k] for k in range(len(TICKS)) for over in by_velocity]
+    return found
 
 
 def sensors(sensor: FloatArray, parameters: Mapping[str, Value]) -> list[FloatArray]:
-    """The transition of SensorState for each value of LineMotion; sensor (2, 2): in a frame."""
+    """The transition of SensorState for each value of LineMotion; sensor (2, 2): in a tick."""
     n_bins = int(number(parameters, "motion_bins"))
-    return [sensor] * n_bins + [_power(sensor, k) for k in STEPS for _ in COASTING]
+    unseen = [_power(sensor, k) for _ in SHOWN for k in TICKS for _ in COASTING]
+    return [sensor] * n_bins + [_power(sensor, 2)] * n_bins + [np.eye(2)] + unseen
 
 
 def known_displacements(parameters: Mapping[str, Value]) -> FloatArray:
@@ -241,15 +276,20 @@ def moved(
     return (1 - _JUMP) * _banded(move, n_positions, back) + _JUMP / n_positions
 
 
-def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
-    """The transition over a gap of each of `STEPS`, of lines that had a velocity before it."""
-    over = transition(velocity)
-    passed = 1
+def _coasted(unseen: Sequence[FloatArray], velocity: float) -> list[FloatArray]:
+    """The transition over each of `TICKS` without a displacement.
+
+    - unseen: that over a tick, (R, R), for each of `COASTING`
+    - velocity: of the lines before
+    """
+    over = np.eye(len(unseen[0]))
+    passed = 0
     found = []
-    for steps in STEPS:
-        left = float(np.mean(KEPT_VELOCITY ** np.arange(passed, steps)))
-        over = over @ _power(transition(velocity * left), steps - passed)
-        passed = steps
+    for ticks in TICKS:
+        left = velocity * np.mean(KEPT_VELOCITY ** np.arange(passed, ticks))
+        nearest = int(np.argmin(np.abs(np.array(COASTING) - left)))
+        over = over @ _power(unseen[nearest], ticks - passed)
+        passed = ticks
         found.append(over / over.sum(axis=1, keepdims=True))
     return found
 

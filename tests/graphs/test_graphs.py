@@ -162,10 +162,13 @@ def mirror(key: object, values: np.ndarray) -> np.ndarray:
 
 
 def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.ndarray:
-    """LineMotion as seen in a mirror; after a gap the lines coasted to the other side."""
+    """LineMotion as seen in a mirror."""
     bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
-    gap, coasted = np.divmod(index - bins, n)
-    return np.where(index < bins, bins - 1 - index, bins + gap * n + n - 1 - coasted)
+    many, seen = np.divmod(index, bins)
+    passed, coasted = np.divmod(index - 2 * bins - 1, n)
+    unseen = 2 * bins + 1 + passed * n + n - 1 - coasted
+    displaced = many * bins + bins - 1 - seen
+    return np.select([index < 2 * bins, index == 2 * bins], [displaced, index], unseen)
 
 
 def test_the_papers_tables_are_the_papers_rows() -> None:

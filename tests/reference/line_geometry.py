@@ -10,7 +10,7 @@ from unittest.mock import patch
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry import fitting, kernels, lane_width, reading, rule, scale
-from egolane_pgm.evidence.line_geometry.kernels import DOUBLE, FRAME_S, INERTIA, LastFrame
+from egolane_pgm.evidence.line_geometry.kernels import DOUBLE, INERTIA, TICK_S, LastFrame
 from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M, LineModel
 from egolane_pgm.evidence.line_geometry.scale import WidthBelief
 from egolane_pgm.parameters import Parameters
@@ -27,9 +27,9 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 def plain() -> Iterator[None]:
     """While this lasts, the rule computes with what is here."""
     twins = (
+        count_ticks,
         follow_lines,
         coast,
-        weigh_frames,
         find_doubles,
         weigh_positions,
     )
@@ -108,79 +108,91 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
     return width_m
 
 
-def weigh_frames(
-    time_s: FloatArray, is_missing: BoolArray, last_s: float
-) -> tuple[FloatArray, float]:
-    """Return the weights (T,), and the time of the last real frame."""
-    real_s = np.maximum.accumulate([last_s, *np.where(is_missing, -np.inf, time_s)])
+def count_ticks(
+    frame_id: IntArray, time_s: FloatArray, last: LastFrame
+) -> tuple[IntArray, FloatArray, BoolArray, float]:
+    """Return the ticks, the weights, whether frames are absent before, (T,), and the rest."""
     with np.errstate(invalid="ignore"):
-        passed = time_s - real_s[:-1]
-        is_known = np.isfinite(passed) & (passed > 0)
-        weights = np.where(is_known, np.round(passed / FRAME_S, 6), 1.0)
-    return weights, float(real_s[-1])
+        since = np.diff(time_s, prepend=last.time_s) / TICK_S
+        since = np.where((since > 0) & (since < np.inf), np.round(since, 6), 1.0)
+    steps = np.diff(frame_id, prepend=last.frame_id)
+    if last.time_s == -np.inf:
+        steps[:1] = 1
+    passed = last.passed + np.cumsum(since)
+    total = np.floor(passed + kernels.EARLY).astype(np.int64)
+    ticks = np.diff(total, prepend=0)
+    is_after_gap = (steps > 1) & (ticks > 1)
+    weights = np.where(is_after_gap, np.maximum(since / steps, 1), since)
+    return ticks, weights, is_after_gap, float((passed - total)[-1]) if len(total) else last.passed
 
 
 def follow_lines(
     offset_m: FloatArray,
     kind: IntArray,
     lri: FloatArray,
-    frame_id: IntArray,
     is_missing: BoolArray,
+    ticks: IntArray,
+    is_after_gap: BoolArray,
     repeats_are_held: bool,
     width_m: FloatArray,
     farthest: float,
     reach: float,
     last: LastFrame,
-) -> tuple[BoolArray, FloatArray, IntArray]:
-    """Return is_held (T, L), displacement (T,), NaN if unknown, and steps (T,); and write -1 to
-    kind (T, L) of lines too far away."""
-    displacement = np.full(len(offset_m), np.nan)
+) -> tuple[BoolArray, FloatArray, int]:
+    """Return is_held (T, L), displacement (T,), NaN if unknown, and the last frame in which a tick
+    begins; and write -1 to kind (T, L) of lines too far away."""
+    n_frames = len(offset_m)
+    displacement = np.full(n_frames, np.nan)
     is_held = np.zeros(offset_m.shape, dtype=bool)
     kind[~(np.abs(offset_m) < farthest * width_m[:, None])] = -1
-    first_id = last.frame_id if last.state >= 0 else frame_id[:1] - 1
-    steps = np.diff(frame_id, prepend=first_id)
-    is_real = np.concatenate([[last.state == 1], ~is_missing])
-    follows = is_real[1:] & is_real[:-1] & (steps == 1)
+    begins = np.flatnonzero(ticks > 0)
+    begin = int(begins[-1]) if len(begins) else -1
     if offset_m.size == 0:
-        return is_held, displacement, steps
+        return is_held, displacement, begin
+    is_known = ~is_missing & ~is_after_gap
     # The lines of the frame before each, (T, K); frames may have different numbers of lines.
-    before_m = pad_and_concat([last.offset_m[None], offset_m[:-1]], np.nan)
-    before_kind = pad_and_concat([last.kind[None], kind[:-1]], -1)
-    before_lri = pad_and_concat([last.lri[None], lri[:-1]], np.nan)
-    if before_m.shape[1] == 0:
-        return is_held, displacement, steps
-    same = offset_m[:, :, None] == before_m[:, None, :]
-    falls = lri[:, :, None] < before_lri[:, None, :]
-    is_held[:] = (same & (falls | repeats_are_held)).any(axis=2) & follows[:, None]
-    before_held = pad_and_concat([last.is_held[None], is_held[:-1]], False)
+    just_m = pad_and_concat([last.offset_m[None], offset_m[:-1]], np.nan)
+    just_lri = pad_and_concat([last.lri[None], lri[:-1]], np.nan)
+    is_real = np.concatenate([[last.is_real], ~is_missing[:-1]])
+    same = offset_m[:, :, None] == just_m[:, None, :]
+    falls = lri[:, :, None] < just_lri[:, None, :]
+    is_held[:] = (same & (falls | repeats_are_held)).any(axis=2) & (is_known & is_real)[:, None]
+    # The lines of the frame with the tick before, for each frame with a tick.
+    shown = np.where(is_missing[:, None], -1, kind)
+    before_m = pad_and_concat([last.before_m[None], offset_m[begins]], np.nan)[:-1]
+    before_kind = pad_and_concat([last.before_kind[None], shown[begins]], -1)[:-1]
+    before_held = pad_and_concat([last.before_held[None], is_held[begins]], False)[:-1]
+    if before_m.shape[1] == 0 or not len(begins):
+        return is_held, displacement, begin
+    now_m = offset_m[begins]
     with np.errstate(invalid="ignore"):
-        distance = np.abs(offset_m[:, :, None] - before_m[:, None, :])
-    now = (kind >= 0) & ~is_held & follows[:, None]
+        distance = np.abs(now_m[:, :, None] - before_m[:, None, :])
+    now = (kind[begins] >= 0) & ~is_held[begins] & is_known[begins][:, None]
     for take_held in (False, True):
         before = (before_kind >= 0) & (take_held | ~before_held)
         apart = np.where(now[:, :, None] & before[:, None, :], distance, np.inf)
         match = apart.argmin(axis=2)
         nearest = np.take_along_axis(apart, match[:, :, None], axis=2)[:, :, 0]
         rival = np.take_along_axis(apart.min(axis=1), match, axis=1)
-        is_match = (nearest < reach * width_m[:, None]) & (nearest <= rival)
+        is_match = (nearest < reach * width_m[begins][:, None]) & (nearest <= rival)
         with np.errstate(invalid="ignore"):
-            moves = offset_m - np.take_along_axis(before_m, match, axis=1)
+            moves = now_m - np.take_along_axis(before_m, match, axis=1)
         moves = np.where(is_match, moves, np.nan)
-        found = is_match.any(axis=1) & np.isnan(displacement)
-        displacement[found] = np.nanmedian(moves[found], axis=1) / width_m[found]
-    return is_held, displacement, steps
+        found = is_match.any(axis=1) & np.isnan(displacement[begins])
+        displacement[begins[found]] = np.nanmedian(moves[found], axis=1) / width_m[begins[found]]
+    return is_held, displacement, begin
 
 
 def coast(
-    displacement: FloatArray, steps: IntArray, farthest: float, kept: float, first: float
+    displacement: FloatArray, ticks: IntArray, farthest: float, kept: float, first: float
 ) -> FloatArray:
     """Return the velocity (T + 1,)."""
-    is_known = (np.abs(displacement) < farthest) & (steps == 1)
+    is_known = np.abs(displacement) < farthest
     # Each value is a share of the one before and a part of its own.
-    share = np.where(is_known, 1 - 1 / INERTIA, kept**steps)
-    part = np.where(is_known, displacement / INERTIA, 0.0)
+    share = np.where(is_known, (1 - 1 / INERTIA) ** ticks, kept**ticks)
+    part = np.where(is_known, displacement / np.maximum(ticks, 1) * (1 - share), 0.0)
     velocity = [first]
-    for t in range(len(steps)):
+    for t in range(len(ticks)):
         velocity.append(share[t] * velocity[t] + part[t])
     return np.array(velocity)
 
@@ -215,15 +227,17 @@ def weigh_positions(
     model_width_m: float,
     alpha: float,
     beta: float,
-    tenths: FloatArray,
+    weights: FloatArray,
     is_missing: BoolArray,
     lane_changes: float,
     kind_changes: float,
     visibility: FloatArray,
+    patterns: FloatArray,
     likelihood: FloatArray,
+    last_kind: FloatArray,
 ) -> None:
-    """Write likelihood (T, n cells, 2), each frame's maximum 1, and the belief `visibility` after
-    the last frame."""
+    """Write likelihood (T, n cells, 2), each frame's maximum 1, the belief `visibility` and the
+    `patterns` after the last frame, and the probability of the last kind before each, (T,)."""
     (n_lanes, n_kinds), n_points = visibility.shape, log_mean.shape[1]
     cells, n_widths = likelihood.shape[1] // n_lanes, width_m.shape[1]
     of_state = np.zeros((n_widths, len(offset_m), n_kinds * n_lanes, cells))
@@ -250,16 +264,24 @@ def weigh_positions(
     # The car is in the lane that it was in, or in the one on either side, if there is one.
     to_side = np.eye(n_lanes, k=1) + np.eye(n_lanes, k=-1)
     np.fill_diagonal(to_side, 2 - to_side.sum(axis=1))
-    alphas, betas = (np.minimum(each * tenths, max(each, 1.0)) for each in (alpha, beta))
-    alphas[is_missing] = 0.0
+    alphas, betas = (np.minimum(each * weights, max(each, 1.0)) for each in (alpha, beta))
+    sides = [((kind >= 0) & each).sum(axis=1) for each in (offset_m < 0, offset_m >= 0)]
+    left, right = (np.minimum(side, kernels.MOST_BESIDE) for side in sides)
+    alphas[is_missing | (left + right == 0)] = 0.0
     for t in range(len(offset_m)):
-        moves, changes = (min(rate * tenths[t], 0.3) for rate in (lane_changes, kind_changes))
+        same, more = patterns[left[t], right[t]], patterns[left[t] :, right[t] :].sum()
+        seen = same + kernels.OF_FEWER * (more - same)
+        fresh = 1 / (1 + max(seen - kernels.FRESH, 0) / kernels.TIRES) ** 2
+        patterns *= np.exp(-weights[t] / kernels.REMEMBERED)
+        patterns[left[t], right[t]] += weights[t]
+        last_kind[t] = visibility[:, -1].sum()
+        moves, changes = (min(rate * weights[t], 0.3) for rate in (lane_changes, kind_changes))
         visibility[:] = (1 - 2 * moves) * visibility + moves * to_side @ visibility
         visibility[:] = (1 - changes) * visibility + changes * visibility.mean(
             axis=1, keepdims=True
         )
         share = visibility / visibility.sum(axis=1, keepdims=True)
-        of_kinds = (share[:, :, None] * np.exp(alphas[t] * known[t])).sum(axis=1)
+        of_kinds = (share[:, :, None] * np.exp(fresh * alphas[t] * known[t])).sum(axis=1)
         log_likelihood = np.empty((n_lanes, cells, 2))
         log_likelihood[..., 1] = betas[t] * log_mean_p[t]
         log_likelihood[..., 0] = log_likelihood[..., 1] + np.log(of_kinds)

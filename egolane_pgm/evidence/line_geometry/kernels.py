@@ -17,31 +17,91 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 #: edges of one marking, or a line reported twice.
 DOUBLE = 0.1
 
-#: The time between frames of alpha and beta, seconds: the paper's recordings have
-#: ten frames per second.
-FRAME_S = 0.1
+#: The clock of the rule and of its graph ticks in tenths of a second, whatever the frame rate. All
+#: times and rates below are in ticks.
+TICK_S = 0.1
 
-#: The number of frames, about, over which the mean displacement of the lines is their velocity.
+#: A tick begins up to this long before it is due, so that the frames of a shaky clock that has ten
+#: a second are a tick each.
+EARLY = 0.25
+
+#: The time, about, over which the mean displacement of the lines is their velocity.
 INERTIA = 10.0
+
+#: How long a pattern of lines counts in full, how quickly it counts less then, and how long it is
+#: remembered. A pattern is how many lines are seen on either side of the car.
+FRESH = 150.0
+TIRES = 60.0
+REMEMBERED = 800.0
+
+#: The share of the time of a pattern that counts for those with fewer lines as well, because a
+#: sensor misses lines.
+OF_FEWER = 0.35
+
+#: The most lines on a side that patterns tell apart.
+MOST_BESIDE = 8
 
 
 class LastFrame(NamedTuple):
-    """The lines of a frame, kept to read the next one.
+    """What is kept of the frames so far to read the next one.
 
-    - offset_m, kind, lri, is_held: (L,) its lines
-    - frame_id, state: its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
-    - velocity: of the lines, lane widths per frame
+    - offset_m, lri: (L,) the lines of the last frame
+    - is_real: whether there is one and it does not fill a gap
+    - frame_id, time_s: of the last frame; its time is -infinity before the first one
+    - before_m, before_kind, before_held: (M,) the lines of the last frame in which a tick began;
+      none if it fills a gap
+    - passed: ticks since then
+    - velocity: of the lines, lane widths per tick
     - lines: (2,) the numbers of lines up to it that count, and of doubles among them
     """
 
     offset_m: FloatArray
-    kind: IntArray
     lri: FloatArray
-    is_held: BoolArray
+    is_real: bool
     frame_id: int
-    state: int
+    time_s: float
+    before_m: FloatArray
+    before_kind: IntArray
+    before_held: BoolArray
+    passed: float
     velocity: float
     lines: IntArray
+
+
+@kernel()
+def count_ticks(
+    frame_id: IntArray, time_s: FloatArray, last: LastFrame
+) -> tuple[IntArray, FloatArray, BoolArray, float]:
+    """Return the ticks that begin with each frame, the weight of its evidence, whether frames are
+    absent before it, (T,) each, and the time since the last tick.
+
+    The errors of a detector last for seconds, not for frames, so a frame weighs the time since the
+    frame before, in ticks; 1 if unknown. Absent frames are frames without lines. They count if they
+    span a tick, and the frame after them weighs what a frame weighs.
+
+    - frame_id, time_s: (T,)
+    - last: the frame before the first
+    """
+    n_frames = len(time_s)
+    ticks = np.empty(n_frames, dtype=np.int64)
+    weights = np.empty(n_frames)
+    is_after_gap = np.empty(n_frames, dtype=np.bool_)
+    id_before = last.frame_id
+    before_s = last.time_s
+    passed = last.passed
+    for t in range(n_frames):
+        since = (time_s[t] - before_s) / TICK_S
+        # Times are quotients; after rounding, ten frames per second weigh exactly 1.
+        since = np.rint(since * 1e6) / 1e6 if 0 < since < math.inf else 1.0
+        steps = frame_id[t] - id_before if before_s > -math.inf else 1
+        passed += since
+        ticks[t] = math.floor(passed + EARLY)
+        passed -= ticks[t]
+        is_after_gap[t] = steps > 1 and ticks[t] > 1
+        weights[t] = max(since / steps, 1.0) if is_after_gap[t] else since
+        id_before = frame_id[t]
+        before_s = time_s[t]
+    return ticks, weights, is_after_gap, passed
 
 
 @kernel()
@@ -49,18 +109,20 @@ def follow_lines(
     offset_m: FloatArray,
     kind: IntArray,
     lri: FloatArray,
-    frame_id: IntArray,
     is_missing: BoolArray,
+    ticks: IntArray,
+    is_after_gap: BoolArray,
     repeats_are_held: bool,
     width_m: FloatArray,
     farthest: float,
     reach: float,
     last: LastFrame,
-) -> tuple[BoolArray, FloatArray, IntArray]:
-    """Return is_held (T, L), displacement (T,), NaN if unknown, and steps (T,): frames since the
-    frame before.
+) -> tuple[BoolArray, FloatArray, int]:
+    """Return is_held (T, L), displacement (T,) since the frame in which the tick before began, NaN
+    if unknown or if no tick begins, and the last frame in which one does, -1 if none does.
 
     - kind: (T, L) the class of the line, -1 in padding; set to -1 for lines too far away
+    - ticks, is_after_gap: (T,) as from `count_ticks`
     - repeats_are_held: whether a line that repeats its offset is held for any LRI
     - width_m: (T,) of a lane; the distances below and the displacement are in lane widths
     - farthest: lines at this distance or farther do not count
@@ -71,7 +133,7 @@ def follow_lines(
     moves = np.empty(n_lines)
     is_held = np.empty((n_frames, n_lines), dtype=np.bool_)
     displacement = np.empty(n_frames)
-    steps = np.empty(n_frames, dtype=np.int64)
+    begin = -1
     for t in range(n_frames):
         farthest_m = farthest * width_m[t]
         reach_m = reach * width_m[t]
@@ -80,30 +142,26 @@ def follow_lines(
             is_held[t, i] = False
             if not abs(offset_m[t, i]) < farthest_m:
                 kind[t, i] = -1
-        if t == 0:
-            before_m = last.offset_m
-            before_kind = last.kind
-            before_lri = last.lri
-            before_held = last.is_held
-            steps[t] = frame_id[t] - last.frame_id if last.state >= 0 else 1
-            follows = last.state == 1
-        else:
-            before_m = offset_m[t - 1]
-            before_kind = kind[t - 1]
-            before_lri = lri[t - 1]
-            before_held = is_held[t - 1]
-            steps[t] = frame_id[t] - frame_id[t - 1]
-            follows = not is_missing[t - 1]
-        # Neither a frame that fills a gap nor the one after it shows motion.
-        if not follows or is_missing[t] or steps[t] != 1:
+        is_known = not is_missing[t] and not is_after_gap[t]
+        if is_known and (last.is_real if t == 0 else not is_missing[t - 1]):
+            just_m = last.offset_m if t == 0 else offset_m[t - 1]
+            just_lri = last.lri if t == 0 else lri[t - 1]
+            for i in range(n_lines):
+                for j in range(len(just_m)):
+                    if offset_m[t, i] == just_m[j] and (
+                        repeats_are_held or lri[t, i] < just_lri[j]
+                    ):
+                        is_held[t, i] = True
+        if ticks[t] == 0:
             continue
-        n_before = len(before_m)
-        for i in range(n_lines):
-            for j in range(n_before):
-                if offset_m[t, i] == before_m[j] and (
-                    repeats_are_held or lri[t, i] < before_lri[j]
-                ):
-                    is_held[t, i] = True
+        before_m = last.before_m if begin < 0 else offset_m[begin]
+        before_kind = last.before_kind if begin < 0 else kind[begin]
+        before_held = last.before_held if begin < 0 else is_held[begin]
+        # Neither a frame that fills a gap nor the one after it shows motion.
+        n_before = 0 if begin >= 0 and is_missing[begin] else len(before_m)
+        begin = t
+        if not is_known:
+            continue
         # Lines measured in both frames; without any, a new measurement of a line that was held.
         for take_held in (False, True):
             n_moves = 0
@@ -142,55 +200,32 @@ def follow_lines(
                     middle = (moves[n_moves // 2 - 1] + middle) / 2
                 displacement[t] = middle / width_m[t]
                 break
-    return is_held, displacement, steps
+    return is_held, displacement, begin
 
 
 @kernel()
 def coast(
-    displacement: FloatArray, steps: IntArray, farthest: float, kept: float, first: float
+    displacement: FloatArray, ticks: IntArray, farthest: float, kept: float, first: float
 ) -> FloatArray:
     """Return the velocity of the lines (T + 1,), before each frame and after the last one: the
-    mean displacement of late, in which each frame counts 1 / INERTIA.
+    mean displacement of late, in which each tick counts 1 / INERTIA.
 
-    - displacement: (T,) since the frame before, NaN if unknown
-    - steps: (T,) frames since the frame before
+    - displacement: (T,) NaN if unknown
+    - ticks: (T,) that begin with the frame
     - farthest: a larger displacement counts as unknown
-    - kept: the share of the velocity that is left after a frame without displacement
+    - kept: the share of the velocity that is left after a tick without displacement
     - first: the velocity before the first frame
     """
     velocity = np.empty(len(displacement) + 1)
     now = first
     velocity[0] = now
     for t in range(len(displacement)):
-        if steps[t] == 1 and abs(displacement[t]) < farthest:
-            now += (displacement[t] - now) / INERTIA
+        if abs(displacement[t]) < farthest:
+            now += (displacement[t] / ticks[t] - now) * (1 - (1 - 1 / INERTIA) ** ticks[t])
         else:
-            now *= kept ** steps[t]
+            now *= kept ** ticks[t]
         velocity[t + 1] = now
     return velocity
-
-
-@kernel()
-def weigh_frames(
-    time_s: FloatArray, is_missing: BoolArray, last_s: float
-) -> tuple[FloatArray, float]:
-    """Return the weight of each frame's evidence, (T,), and the time of the last real frame.
-
-    The errors of a detector last for seconds, not for frames, so a frame counts by the time since
-    the last real one, over `FRAME_S`; 1 if unknown. Frames that fill gaps are not real.
-
-    - time_s, is_missing: (T,)
-    - last_s: the time of the last real frame before the first, or -infinity
-    """
-    weights = np.empty(len(time_s))
-    for t in range(len(weights)):
-        passed = time_s[t] - last_s
-        # Times are quotients; after rounding, ten frames per second weigh exactly 1.
-        is_known = 0 < passed < math.inf
-        weights[t] = np.rint(passed / FRAME_S * 1e6) / 1e6 if is_known else 1.0
-        if not is_missing[t] and time_s[t] > last_s:
-            last_s = time_s[t]
-    return weights, last_s
 
 
 @kernel()
@@ -242,25 +277,33 @@ def weigh_positions(
     model_width_m: float,
     alpha: float,
     beta: float,
-    tenths: FloatArray,
+    weights: FloatArray,
     is_missing: BoolArray,
     lane_changes: float,
     kind_changes: float,
     visibility: FloatArray,
+    patterns: FloatArray,
     likelihood: FloatArray,
+    last_kind: FloatArray,
 ) -> None:
     """Fill likelihood (T, n cells, 2); the maximum of each frame is 1. A mean over the lane widths
     and over the kinds of detectors, which are followed in `visibility`.
 
+    What a sensor never shows is one fact about it, so a pattern of lines that has been seen for
+    long counts little.
+
     - kind: (T, L) the line's class, -1 where it does not count
     - width_m: (T, W) equally probable lane widths, in rising order
-    - alpha, beta: exponents of a frame a tenth of a second after the one before
+    - alpha, beta: exponents of a frame that weighs 1
     - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in
       `visibility.VisibilityTables`; lines are scaled to its width
-    - tenths: (T,) since the frame before, tenths of a second
+    - weights: (T,) ticks
     - is_missing: (T,) frames without evidence
-    - lane_changes, kind_changes: probabilities in a tenth of a second
+    - lane_changes, kind_changes: probabilities in a tick
     - visibility: (n, K) the belief over lane and kind; becomes that after the last frame
+    - patterns: (M, M) how long each pattern has been seen of late, ticks; becomes that after the
+      last frame
+    - last_kind: (T,) output, the probability of the last kind before each frame
     """
     n_frames, n_lines = offset_m.shape
     n_lanes, n_kinds = visibility.shape
@@ -281,8 +324,13 @@ def weigh_positions(
     last = log_mean.shape[1] - 2
     for t in range(n_frames):
         # Limited so that no line counts more than once.
-        of_lane = 0.0 if is_missing[t] else min(alpha * tenths[t], max(alpha, 1.0))
-        of_place = min(beta * tenths[t], max(beta, 1.0))
+        of_kind = min(alpha * weights[t], max(alpha, 1.0))
+        of_place = min(beta * weights[t], max(beta, 1.0))
+        fresh = _freshness(patterns, offset_m[t], kind[t], weights[t])
+        # A frame without lines is evidence of nothing.
+        if is_missing[t] or fresh == 0.0:
+            of_kind = 0.0
+        of_lane = fresh * of_kind
         # Equal widths are one.
         n = 0
         k = 0
@@ -326,8 +374,9 @@ def weigh_positions(
                 for lane in range(n_lanes):
                     s = (u * n_kinds + k) * n_lanes + lane
                     known[s] += expected_mean - expected[k, lane] - mean[0, u]
-        to_side = min(lane_changes * tenths[t], 0.3)
-        to_any = min(kind_changes * tenths[t], 0.3)
+        last_kind[t] = visibility[:, -1].sum()
+        to_side = min(lane_changes * weights[t], 0.3)
+        to_any = min(kind_changes * weights[t], 0.3)
         _change(visibility, to_side, to_any, spare)
         largest = -np.inf
         for u in range(cells):
@@ -351,7 +400,30 @@ def weigh_positions(
             likelihood[t, r, 0] = math.exp(likelihood[t, r, 0] - largest)
             likelihood[t, r, 1] = math.exp(likelihood[t, r, 1] - largest)
         if n_kinds > 1:
-            _learn(visibility, known, mean[0], of_lane, place, spare)
+            _learn(visibility, known, mean[0], of_kind, place, spare)
+
+
+@kernel(no_cpython_wrapper=True)
+def _freshness(patterns: FloatArray, offset_m: FloatArray, kind: IntArray, weight: float) -> float:
+    """Return how much a frame's pattern still counts, 0 to 1 (0 without lines), and add the frame
+    to `patterns`.
+
+    - offset_m, kind: (L,)
+    """
+    left = 0
+    right = 0
+    for i in range(len(kind)):
+        if kind[i] >= 0 and offset_m[i] < 0:
+            left = min(left + 1, MOST_BESIDE)
+        elif kind[i] >= 0:
+            right = min(right + 1, MOST_BESIDE)
+    fresh = 0.0
+    if left + right > 0:
+        seen = (1 - OF_FEWER) * patterns[left, right] + OF_FEWER * patterns[left:, right:].sum()
+        fresh = (1 + max(seen - FRESH, 0.0) / TIRES) ** -2
+    patterns *= math.exp(-weight / REMEMBERED)
+    patterns[left, right] += weight
+    return fresh
 
 
 @kernel(no_cpython_wrapper=True)

@@ -13,7 +13,7 @@ from egolane_pgm.evidence.line_geometry.kernels import DOUBLE, LastFrame
 from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, width_of_gaps
 from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M
 from egolane_pgm.evidence.line_geometry.scale import line_classes
-from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, MOTION_RANGE, motion_index
+from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, MOTION_RANGE
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import NOTE, FloatArray, IntArray, LineLog
 
@@ -52,12 +52,18 @@ class SeenLines(NamedTuple):
 
     - offset_m: (T, L) in the detector's unit
     - kind: (T, L) the class of a line that counts, otherwise -1
-    - motion: (T,) the value of LineMotion
+    - weights: (T,) the weight of a frame's evidence, ticks
+    - displacement: (T,) of the lines since the last tick, lane widths; NaN if unknown
+    - ticks: (T,) that begin with the frame
+    - velocity: (T,) of the lines before the frame, lane widths per tick
     """
 
     offset_m: FloatArray
     kind: IntArray
-    motion: IntArray
+    weights: FloatArray
+    displacement: FloatArray
+    ticks: IntArray
+    velocity: FloatArray
 
 
 def read_recording(recorded: LineLog, parameters: Parameters) -> tuple[LineLog, SeenLines, float]:
@@ -75,7 +81,7 @@ def read_recording(recorded: LineLog, parameters: Parameters) -> tuple[LineLog, 
     warn_of_offsets(log, width)
     kind, _ = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
     widths = np.full(len(log), width)
-    seen, _ = read_lines(log, kind, widths, parameters, detector.repeats_are_held)
+    seen, _ = read_lines(log, kind, widths, detector.repeats_are_held)
     return log, seen, width
 
 
@@ -144,8 +150,9 @@ def warn_of_offsets(log: LineLog, width_m: float) -> None:
 
 #: Before the first frame.
 NO_FRAME = LastFrame(
-    *(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool)),
-    *(0, -1, 0.0, np.zeros(2, dtype=np.int64)),
+    *(np.empty(0), np.empty(0), False, 0, -math.inf),
+    *(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0, dtype=bool), 0.0),
+    *(0.0, np.zeros(2, dtype=np.int64)),
 )
 
 
@@ -153,7 +160,6 @@ def read_lines(
     log: LineLog,
     kind: IntArray,
     widths: FloatArray,
-    parameters: Parameters,
     repeats_are_held: bool,
     last: LastFrame | None = None,
 ) -> tuple[SeenLines, LastFrame]:
@@ -172,27 +178,42 @@ def read_lines(
     # A log may have integers.
     offset_m = np.asarray(log.offset_m, dtype=np.float64)
     lri = np.asarray(log.lri, dtype=np.float64)
-    is_held, displacement, steps = kernels.follow_lines(
+    ticks, weights, is_after_gap, passed = kernels.count_ticks(log.frame_id, log.time_s, last)
+    is_held, displacement, begin = kernels.follow_lines(
         offset_m,
         kind,
         lri,
-        log.frame_id,
         log.is_missing,
+        ticks,
+        is_after_gap,
         repeats_are_held,
         widths,
         REACH_M / LANE_M,
         MOTION_RANGE,
         last,
     )
-    velocity = kernels.coast(displacement, steps, MOTION_RANGE, KEPT_VELOCITY, last.velocity)
-    motion = motion_index(displacement, steps, velocity[:-1], parameters)
+    velocity = kernels.coast(displacement, ticks, MOTION_RANGE, KEPT_VELOCITY, last.velocity)
     measured = np.where(is_held, -1, kind)
     is_double, lines = kernels.find_doubles(offset_m, measured, widths, last.lines)
     if len(log):
+        if begin >= 0:
+            shown = slice(0, 0 if log.is_missing[begin] else None)
+            last = last._replace(
+                before_m=offset_m[begin, shown].copy(),
+                before_kind=kind[begin, shown],
+                before_held=is_held[begin, shown],
+            )
         # Copies: a caller may use its arrays again for the next frame.
-        of_lines = (offset_m[-1].copy(), kind[-1], lri[-1].copy(), is_held[-1])
-        frame = (int(log.frame_id[-1]), 0 if log.is_missing[-1] else 1)
-        last = LastFrame(*of_lines, *frame, velocity[-1], lines[-1])
+        last = last._replace(
+            offset_m=offset_m[-1].copy(),
+            lri=lri[-1].copy(),
+            is_real=not log.is_missing[-1],
+            frame_id=int(log.frame_id[-1]),
+            time_s=float(log.time_s[-1]),
+            passed=passed,
+            velocity=velocity[-1],
+            lines=lines[-1],
+        )
     if is_double.any():
         total, doubles = lines[-1:].T if is_whole else lines[1:].T
         has_many = doubles >= LEAST_DOUBLES * total
@@ -203,4 +224,4 @@ def read_lines(
                 f" {DOUBLE:g} lane widths of another one; such lines count once",
                 stacklevel=2,
             )
-    return SeenLines(offset_m, measured, motion), last
+    return SeenLines(offset_m, measured, weights, displacement, ticks, velocity[:-1]), last

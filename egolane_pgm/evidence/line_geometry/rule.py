@@ -10,12 +10,14 @@ lanes. The joint likelihood of RoadPosition and SensorState is
 A working sensor is evidence of the lane and the place in it, a failing one of the place only. alpha
 and beta are small because errors of neighbouring frames are correlated, while the filter counts
 each frame as independent. They are the weights for a tenth of a second; a frame weighs in
-proportion to the time since the previous one, at most 1.
+proportion to the time since the previous one, at most 1. A pattern of lines (how many on the left
+and on the right) that has been seen for long weighs little: what a sensor never shows is one fact.
+A frame without lines is evidence of nothing, and so is an absent one.
 
 A held line, which the detector did not measure but repeats with the same offset to the last digit
 and an LRI that falls or is unknown, is no evidence and is not followed. Offsets of exactly 0 are
-placeholders. LineMotion is the median displacement of the lines measured in this frame and the
-previous one, matched to the nearest; without such lines the last velocity is kept.
+placeholders. LineMotion is the median displacement over a tick, a tenth of a second, of the lines
+measured at both its ends, matched to the nearest; without such lines the last velocity is kept.
 
 Lines are scaled to lanes of LANE_M metres, so that noise, clutter and reach are relative to the
 lane width. The width has a distribution (`scale`), and likelihoods are means over its quantiles.
@@ -30,7 +32,6 @@ The rule needs no labels: `generic` constants are the same for every detector.
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -48,14 +49,17 @@ from egolane_pgm.evidence.line_geometry.model import (
 )
 from egolane_pgm.evidence.line_geometry.visibility import (
     KIND_CHANGES,
+    KINDS,
     LANE_CHANGES,
     VisibilityTables,
     far_frames,
+    new_patterns,
     new_visibility,
     visibility_models,
     visibility_tables,
     warn_of_own_lines,
 )
+from egolane_pgm.graphs.position_in_lane import motion_index
 from egolane_pgm.parameters import Parameters, Value, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, pad_and_concat
 
@@ -94,10 +98,10 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
         given = _online(models, visibility, parameters)(recorded)
     else:
         tables = visibility_tables(models, has_flags=bool(_has_flag(log).any()))
-        weights, _ = kernels.weigh_frames(log.time_s, log.is_missing, -math.inf)
+        patterns = new_patterns()
         wanders = 1 + number(parameters, "width_wanders") * np.array([-1, 0, 1])
         widths = np.tile(width * wanders, (len(log), 1))
-        given = _evidence(seen, widths, weights, log.is_missing, tables, visibility, parameters)
+        given = _evidence(seen, widths, log.is_missing, tables, visibility, patterns, parameters)
     n_frames = max(len(log), 1)
     far = far_frames(log.offset_m, np.full(len(log), width)) / n_frames
     warn_of_own_lines(visibility, (seen.kind >= 0).sum() / n_frames, far, log.source)
@@ -128,11 +132,11 @@ def _online(
     has_flags = False
     n_frames = 0
     last = reading.NO_FRAME
-    last_s = -math.inf
+    patterns = new_patterns()
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """Return the evidence of frames that share all estimates."""
-        nonlocal detector, counts, has_flags, n_frames, last, last_s
+        nonlocal detector, counts, has_flags, n_frames, last
         if n_frames and n_frames % reading.UPDATE_EVERY == 0:
             counts = flag_semantics.added(counts, flag_semantics.count_lines(recent))
             recent.clear()
@@ -148,12 +152,9 @@ def _online(
         else:
             widths = np.full((len(log), 1), given)
         middle = np.ascontiguousarray(widths[:, widths.shape[1] // 2])
-        seen, last = reading.read_lines(
-            log, kind, middle, parameters, detector.repeats_are_held, last
-        )
-        weights, last_s = kernels.weigh_frames(recorded.time_s, recorded.is_missing, last_s)
+        seen, last = reading.read_lines(log, kind, middle, detector.repeats_are_held, last)
         used = tables[has_flags]
-        return _evidence(seen, widths, weights, log.is_missing, used, visibility, parameters)
+        return _evidence(seen, widths, log.is_missing, used, visibility, patterns, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         if len(recorded) <= 1:
@@ -181,16 +182,17 @@ def _has_flag(log: LineLog) -> BoolArray:
 def _evidence(
     seen: reading.SeenLines,
     widths: FloatArray,
-    weights: FloatArray,
     is_missing: BoolArray,
     tables: VisibilityTables,
     visibility: FloatArray,
+    patterns: FloatArray,
     parameters: Parameters,
 ) -> Evidence:
-    """The evidence of T frames. widths: (T, W) equally probable lane widths; weights, is_missing:
-    (T,); visibility: (n, K), which becomes the belief after the last frame."""
+    """The evidence of T frames. widths: (T, W) equally probable lane widths; is_missing: (T,);
+    visibility, patterns: (n, K), (M, M), which become those after the last frame."""
     n_positions = len(visibility) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
+    last_kind = np.empty(len(widths))
     kernels.weigh_positions(
         seen.offset_m,
         seen.kind,
@@ -203,14 +205,18 @@ def _evidence(
         tables.width_m,
         number(parameters, "alpha"),
         number(parameters, "beta"),
-        weights,
+        seen.weights,
         is_missing,
         LANE_CHANGES,
         KIND_CHANGES,
         visibility,
+        patterns,
         likelihood,
+        last_kind,
     )
-    return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
+    shows_own = (last_kind > 0.5) & (visibility.shape[1] == len(KINDS))
+    motion = motion_index(seen.displacement, seen.ticks, seen.velocity, shows_own, parameters)
+    return Evidence({NODES: likelihood}, {"LineMotion": motion})
 
 
 def fit(

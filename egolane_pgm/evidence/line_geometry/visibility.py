@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry.kernels import MOST_BESIDE
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
     GENERIC,
@@ -126,6 +127,11 @@ def visibility_tables(models: Sequence[LineModel], *, has_flags: bool) -> Visibi
 def new_visibility(n_lanes: int, n_kinds: int) -> FloatArray:
     """The belief over the lane and the kind before the first frame, (n, K)."""
     return np.full((n_lanes, n_kinds), 1 / (n_lanes * n_kinds))
+
+
+def new_patterns() -> FloatArray:
+    """How long each pattern of lines was seen before the first frame, (M, M)."""
+    return np.zeros((MOST_BESIDE + 1, MOST_BESIDE + 1))
 
 
 def far_frames(offset_m: FloatArray, width_m: FloatArray) -> int:

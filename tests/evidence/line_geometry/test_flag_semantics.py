@@ -26,7 +26,7 @@ from egolane_pgm.evidence.line_geometry.flag_semantics import (
     is_placed,
 )
 from egolane_pgm.evidence.line_geometry.model import CLUTTER_PER_M
-from egolane_pgm.evidence.line_geometry.reading import read_lines
+from egolane_pgm.evidence.line_geometry.reading import NO_FRAME, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.parameters import Parameters
@@ -121,13 +121,12 @@ def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
         offset_m=np.where(is_fresh, held.offset_m, np.nan),
         is_valid=held.is_valid & is_fresh,
     )
-    parameters, widths = resolved(lane_width_m=3.75), np.full(len(log), 3.75)
+    widths = np.full(len(log), 3.75)
     ours, theirs = (
         read_lines(
             each,
             line_classes(each.offset_m, each.is_valid, each.is_continuous, each.lri)[0],
             widths,
-            parameters,
             repeats_are_held=True,
         )[0].kind
         for each in (held, gone)
@@ -258,14 +257,14 @@ def test_evidence_weighs_by_the_time_since_the_frame_before() -> None:
     once, _ = read(log, **given)
     thrice, _ = read(replace(log, time_s=3 * log.time_s), **given)
     np.testing.assert_allclose(np.log(thrice[1:]), 3 * np.log(once[1:]), atol=1e-9)
-    # Never more than once, however long the gap.
+    # Never more than once, however long it is.
     long, _ = read(replace(log, time_s=1e6 * log.time_s), **given)
     full, _ = read(log, **given, alpha=1.0, beta=1.0)
-    np.testing.assert_allclose(np.log(long[1:]), np.log(full[1:]), atol=1e-9)
+    np.testing.assert_allclose(np.log(long[1]), np.log(full[1]), atol=1e-9)
 
 
 def frame_weights(log: LineLog) -> FloatArray:
-    weights: FloatArray = kernels.weigh_frames(log.time_s, log.is_missing, -np.inf)[0]
+    weights: FloatArray = kernels.count_ticks(log.frame_id, log.time_s, NO_FRAME)[1]
     return weights
 
 
@@ -278,16 +277,25 @@ def test_ten_frames_a_second_weigh_one_each() -> None:
     assert (frame_weights(unknown) == 1).all()
 
 
-def test_frames_that_were_put_in_do_not_count_as_a_frame_before() -> None:
-    log = drive().log.take(slice(0, 6))
-    put_in = replace(log, is_missing=np.array([False, False, True, True, False, False]))
-    assert frame_weights(put_in).tolist() == [1, 1, 1, 2, 3, 1]
-    parts, last_s = [], -np.inf
-    for t in range(6):
-        frame = put_in.take(slice(t, t + 1))
-        weight, last_s = kernels.weigh_frames(frame.time_s, frame.is_missing, last_s)
-        parts += weight.tolist()
-    assert parts == [1, 1, 1, 2, 3, 1]
+@pytest.mark.parametrize(
+    ("rate", "frame_id", "ticks", "weights"),
+    [
+        (10, [0, 1, 2, 5, 6], [1, 1, 1, 3, 1], [1, 1, 1, 1, 1]),
+        (30, [0, 1, 2, 3, 4, 5, 6], [1, 0, 0, 1, 0, 0, 1], [1, *[1 / 3] * 6]),
+        # Frames thinned by their reader are no gap, if a tick is not longer.
+        (30, [0, 3, 6, 15], [1, 1, 1, 3], [1, 1, 1, 1]),
+        (5, [0, 1, 2, 5], [1, 2, 2, 6], [1, 2, 2, 2]),
+        (12, [0, 1, 2, 3, 4, 5, 6], [1, 1, 0, 1, 1, 1, 1], [1, *[10 / 12] * 6]),
+    ],
+)
+def test_ticks_are_tenths_of_a_second(
+    rate: float, frame_id: list[int], ticks: list[int], weights: list[float]
+) -> None:
+    """Absent frames are frames without lines, so the frame after them weighs one frame."""
+    ids = np.array(frame_id)
+    found = kernels.count_ticks(ids, ids / rate, NO_FRAME)
+    assert found[0].tolist() == ticks
+    np.testing.assert_allclose(found[1], weights, atol=1e-6)
 
 
 # --- online --------------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.evidence.line_geometry.visibility import (
+    new_patterns,
     new_visibility,
     visibility_models,
     visibility_tables,
@@ -47,8 +48,8 @@ from tests.kits.strangers import scale_changes, scaled
 from tests.reference import line_geometry as reference
 
 W = 3.6
-#: The values of LineMotion: lines that stand still, and the first one after a gap.
-STILL, AFTER_GAP = 24, 49
+#: The first value of LineMotion without a displacement.
+UNSEEN = 99
 
 
 def resolved(n_lanes: int = 3, **given: object) -> Parameters:
@@ -154,7 +155,7 @@ def test_over_several_widths_the_likelihood_is_the_mean(widths: tuple[float, ...
             *(np.array([offsets]), np.array([kinds]), np.array([widths])),
             *(tables.log_intensity, tables.log_mean, tables.first_m, TABLE_STEP_M, tables.expected),
             *(tables.width_m, 0.3, 0.7, np.ones(1), np.zeros(1, dtype=bool), 0.0, 0.0),
-            *(new_visibility(3, 1), likelihood),
+            *(new_visibility(3, 1), new_patterns(), likelihood, np.empty(1)),
         )
         np.testing.assert_allclose(np.log(likelihood[0]), np.log(right), atol=5e-3)
 
@@ -202,13 +203,13 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
         there.likelihoods[NODES][:, ::-1], here.likelihoods[NODES], atol=2e-3
     )
     motion, mirrored = here.inputs["LineMotion"], there.inputs["LineMotion"]
-    gap = motion >= AFTER_GAP
+    gap = motion >= UNSEEN
     assert gap.any()
-    np.testing.assert_array_equal(mirrored >= AFTER_GAP, gap)
-    np.testing.assert_allclose(mirrored[~gap], 2 * STILL - motion[~gap], atol=1)
+    np.testing.assert_array_equal(mirrored >= UNSEEN, gap)
+    np.testing.assert_allclose(mirrored[~gap], 48 - motion[~gap], atol=1)
     n = len(position_in_lane.COASTING)
     (passed, there_passed), (coasting, there_coasting) = (
-        (f(motion[gap] - AFTER_GAP, n), f(mirrored[gap] - AFTER_GAP, n))
+        (f(motion[gap] - UNSEEN, n), f(mirrored[gap] - UNSEEN, n))
         for f in (np.floor_divide, np.mod)
     )
     np.testing.assert_array_equal(there_passed, passed)
@@ -244,71 +245,81 @@ def test_the_class_of_a_line(
     assert is_strong.tolist() == [[valid and not lri < 6 and (kind >= 0 or is_too_far)]]
 
 
-def seen_lines(log: LineLog, **given: object) -> SeenLines:
+def seen_lines(log: LineLog) -> SeenLines:
     kind, _ = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
     widths = np.full(len(log), W)
-    seen, _ = read_lines(log, kind, widths, resolved(**given), repeats_are_held=False)
+    seen, _ = read_lines(log, kind, widths, repeats_are_held=False)
     return seen
 
 
-def motion_of(log: LineLog, **given: object) -> list[int]:
-    return seen_lines(log, **given).motion.tolist()
-
-
-def value_of(displacement_m: float, steps: int = 1, velocity_m: float = 0.0) -> int:
+def motion_of(log: LineLog) -> list[int]:
+    seen = seen_lines(log)
+    others = np.zeros(len(log), dtype=bool)
     index = position_in_lane.motion_index(
-        np.array([displacement_m / W]), np.array([steps]), np.array([velocity_m / W]), resolved()
+        seen.displacement, seen.ticks, seen.velocity, others, resolved()
+    )
+    return index.tolist()
+
+
+def value_of(displacement_m: float, ticks: int = 1, velocity_m: float = 0.0) -> int:
+    index = position_in_lane.motion_index(
+        *(np.array([displacement_m / W]), np.array([ticks]), np.array([velocity_m / W])),
+        *(np.zeros(1, dtype=bool), resolved()),
     )
     return int(index[0])
 
 
+#: The value without a displacement, of lines that stood still.
+LOST = value_of(math.nan)
+
+
 def test_the_motion_is_the_median_of_the_matched_lines() -> None:
     log = line_log([[-1.8, 1.8, 5.4], [-1.7, 1.92, 5.8]])
-    assert motion_of(log) == [STILL, value_of(0.12)]
+    assert motion_of(log) == [LOST, value_of(0.12)]
 
 
 def test_a_held_line_is_no_evidence_and_is_not_followed() -> None:
     """The left line moves; the right one is held: same offset, its LRI falls."""
     offsets = [[-1.8, 1.8], [-1.7, 1.8], [-1.6, 1.8]]
     log = line_log(offsets, lri=[[10, 10], [10, 9], [10, 8]])
-    assert motion_of(log) == [STILL, value_of(0.1), value_of(0.1)]
+    assert motion_of(log) == [LOST, value_of(0.1), value_of(0.1)]
     assert seen_lines(log).kind.tolist() == [[1, 1], [1, -1], [1, -1]]
 
 
 def test_a_line_that_stands_still_with_a_steady_index_is_measured() -> None:
-    assert motion_of(line_log([[-1.8, 1.8]] * 3)) == [STILL, value_of(0), value_of(0)]
+    assert motion_of(line_log([[-1.8, 1.8]] * 3)) == [LOST, value_of(0), value_of(0)]
 
 
 def test_a_line_that_was_held_gives_the_motion_if_no_other_does() -> None:
     log = line_log([[1.8], [1.8], [1.4]], lri=[[10], [9], [10]])
-    assert motion_of(log) == [STILL, STILL, value_of(-0.4)]
+    assert motion_of(log) == [LOST, LOST, value_of(-0.4)]
 
 
 def test_nothing_is_matched_beyond_reach_or_across_a_gap() -> None:
-    assert motion_of(line_log([[1.0], [2.0]])) == [STILL, STILL]
-    gap = motion_of(line_log([[1.8], [1.7]], frame_id=[10, 13]))
-    assert gap == [STILL, value_of(math.nan, 3)]
-    assert gap[1] >= AFTER_GAP
+    assert motion_of(line_log([[1.0], [2.0]])) == [LOST, LOST]
+    gap = motion_of(line_log([[1.8], [1.7]], frame_id=[10, 14]))
+    assert gap == [LOST, value_of(math.nan, 4)]
+    assert gap[1] > LOST >= UNSEEN
     put_in = line_log([[1.8], [math.nan], [1.8]], is_missing=[False, True, False])
-    assert motion_of(put_in) == [STILL] * 3
+    assert motion_of(put_in) == [LOST] * 3
 
 
 def test_lines_that_are_lost_go_on_as_they_moved_of_late() -> None:
-    """One frame counts a tenth of the velocity, which fades by a fiftieth in each frame."""
+    """One frame counts a tenth of the velocity, which fades by a hundredth in each frame."""
     offset = np.array([1.7 - 0.2 * t for t in range(20)] + [math.nan] * 5)[:, None]
     moving = value_of(-0.2)
     velocity = -0.2 * (1 - 0.9**19)
-    lost = [value_of(velocity * 0.98**k) for k in range(5)]
-    assert motion_of(line_log(offset)) == [STILL] + [moving] * 19 + lost
-    assert lost[0] < STILL - 4
+    lost = [value_of(math.nan, 1, velocity * 0.99**k) for k in range(5)]
+    assert motion_of(line_log(offset)) == [LOST] + [moving] * 19 + lost
+    assert lost[0] < LOST - 4
     # A displacement that is out of range is none.
     leaping = np.where(np.arange(25) % 2, 9.0, -9.0)[:, None]
     assert motion_of(line_log(np.where(np.isnan(offset), leaping, offset)))[20:] == lost
     ids = np.arange(25)
     ids[20:] += 7
     after_gap = motion_of(line_log(offset, frame_id=ids))[20:]
-    assert after_gap[0] == value_of(math.nan, 8, velocity) >= AFTER_GAP
-    assert after_gap[1:] == [value_of(velocity * 0.98 ** (8 + k)) for k in range(4)]
+    assert after_gap[0] == value_of(math.nan, 8, velocity) > LOST
+    assert after_gap[1:] == [value_of(math.nan, 1, velocity * 0.99 ** (8 + k)) for k in range(4)]
     # Frames that were put in are frames without lines.
     missing = np.arange(25) >= 20
     assert motion_of(line_log(offset, is_missing=missing))[20:] == lost
@@ -322,7 +333,7 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
         )
     by_cell = given.likelihoods[NODES].reshape(3, 3, 16, 2)
     np.testing.assert_allclose(by_cell.std(axis=2), 0, atol=1e-12)
-    assert given.inputs["LineMotion"].tolist() == [STILL] * 3
+    assert given.inputs["LineMotion"].tolist() == [LOST] * 3
 
 
 @pytest.mark.filterwarnings("ignore:line log")
@@ -567,4 +578,4 @@ def test_a_jump_of_frame_ids_diffuses_the_belief_by_the_frames_that_are_missing(
     ids = drive.frame_id
     assert len(belief["predict"]) == len(belief["skip"]) + 5
     for t in (99, 105, 106, 150):
-        np.testing.assert_allclose(belief["skip"][ids[t]], belief["predict"][ids[t]], atol=2e-3)
+        np.testing.assert_allclose(belief["skip"][ids[t]], belief["predict"][ids[t]], atol=0.01)
