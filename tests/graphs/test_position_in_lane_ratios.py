@@ -180,8 +180,8 @@ def test_a_drive_of_thirty_frames_a_second_thinned_to_ten_is_believed_alike(
     thinned = beliefs(log_of(offset_m, 30).take(slice(None, None, 3)), n_lanes, start)
     away = np.abs(whole[::3] - thinned)
     # In a lane change the frames between two ticks lag a little.
-    assert np.quantile(away, 0.9) < 0.02
-    assert away.max() < 0.1
+    assert np.quantile(away, 0.9) < 0.05
+    assert away.max() < 0.15
 
 
 def test_smoothed_the_moves_off_the_road_are_left_out() -> None:
