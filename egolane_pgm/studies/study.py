@@ -26,6 +26,7 @@ from egolane_pgm.model import Model, with_own_values
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
+    STRENGTHS,
     TABLES,
     Fit,
     Fitted,
@@ -517,7 +518,9 @@ def settings_of_study(
         kept = {"labels", "strength", "block", "trials", "seed"}
         settings = {"learns": learns, **first.experiment.fit.model_dump(include=kept)}
         if learns != "rule":
-            settings["objective"] = objective_of_learning(first.model)
+            objective = objective_of_learning(first.model)
+            settings["objective"] = objective
+            settings["strength"] = settings["strength"] or STRENGTHS[objective]
         return settings
     tuning = settings_of(first.experiment.fit, None, first.experiment.source)
     space = search_space([drive.model for drive in drives], tuning)
