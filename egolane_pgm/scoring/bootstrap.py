@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from egolane_pgm.scoring.scores import SCORES, Statistic
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: Frames of a block: half a minute at 10 Hz, much longer than most errors last.
 BLOCK_FRAMES = 300
@@ -26,6 +26,10 @@ RESAMPLES = 2000
 
 #: Share of the resamples within an interval.
 LEVEL = 0.95
+
+
+#: With fewer blocks, chance has the same sign in all of them too often.
+LEAST_BLOCKS = 5
 
 
 @dataclass(frozen=True)
@@ -187,12 +191,12 @@ def block_gains(
     return np.concatenate([each * n_blocks / len(each) for each in found.values()])
 
 
-def beyond_chance(gains: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Return which gains are larger than what chance gives the best of all candidates, (K,).
+def beyond_chance(gains: FloatArray) -> tuple[float, FloatArray]:
+    """Return the gain that chance gives the best of all candidates; a larger one passes.
 
-    Chance turns the sign of the contribution of each block. A gain passes if it is above the 95 %
-    quantile of the largest gain of all candidates. As of Hansen (2005), clear losses do not count
-    as candidates, and other losses have mean zero. Fewer than 5 blocks let nothing pass.
+    Chance turns the sign of the contribution of each block. The result is the 95 % quantile of the
+    largest gain of all candidates. As of Hansen (2005), clear losses do not count as candidates,
+    and other losses have mean zero. It is infinite for fewer than LEAST_BLOCKS.
 
     - gains: of K candidates, from `block_gains`, (K, B).
 
@@ -200,13 +204,14 @@ def beyond_chance(gains: FloatArray) -> tuple[BoolArray, FloatArray]:
     """
     mean = gains.mean(axis=1)
     n_blocks = gains.shape[1]
+    if n_blocks < LEAST_BLOCKS:
+        return math.inf, np.zeros(len(gains))
     error = gains.std(axis=1) / math.sqrt(n_blocks)
     is_clear_loss = mean < -error * math.sqrt(2 * math.log(math.log(max(n_blocks, 3))))
     centred = (gains - np.minimum(mean, 0.0)[:, None])[~is_clear_loss]
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (RESAMPLES, n_blocks))
-    signs[0] = 1.0
     by_chance = signs @ centred.T / n_blocks
     least = np.quantile(by_chance.max(axis=1, initial=0.0), LEVEL, method="higher")
     weight = rng.multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), RESAMPLES) / n_blocks
-    return mean > least, (gains @ weight.T > least).mean(axis=1)
+    return float(least), (gains @ weight.T > least).mean(axis=1)

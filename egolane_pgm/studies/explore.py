@@ -76,7 +76,6 @@ from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
     Beliefs,
-    BoolArray,
     Evidence,
     FloatArray,
     InputError,
@@ -147,6 +146,7 @@ class Exploration:
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
     - judge, objective: description of the gains, and what structures were fitted to.
+    - by_chance: the gain that chance gives the best candidate; infinite for short recordings.
     - directory: output directory; None in memory.
     """
 
@@ -158,6 +158,7 @@ class Exploration:
     model: Model
     judge: str
     objective: str
+    by_chance: float
     directory: Path | None = None
 
 
@@ -412,14 +413,18 @@ class Tried:
 
     def tested(
         self, structures: Sequence[Structure], start: Structure
-    ) -> tuple[BoolArray, FloatArray]:
-        """Which gains are beyond chance, and in which share of resamples: `beyond_chance`."""
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """The gain that chance gives the best structure, the gains, and in which share of resamples
+        each is larger: `beyond_chance`."""
         gains = []
         for each in structures:
             better, worse = self.sides(each, start)
             ids = self.problem.drive_ids[: len(better)]
             gains.append(block_gains(better, worse, self.judge.statistic, ids))
-        return beyond_chance(np.array(gains)) if gains else (np.zeros(0, bool), np.zeros(0))
+        if not gains:
+            return math.inf, np.zeros(0), np.zeros(0)
+        least, selected = beyond_chance(np.array(gains))
+        return least, np.array(gains).mean(axis=1), selected
 
 
 def explore(
@@ -463,11 +468,12 @@ def explore(
         best = _greedy(tried, list(alone))
     there = edges_of(problem.tables)
     gains = {edge: tried.gain(structure) for edge, structure in alone.items()}
-    passes, selected = tried.tested(list(alone.values()), start)
+    least, gained, selected = tried.tested(list(alone.values()), start)
     rows: list[dict[str, Any]] = []
     for k, (edge, gain) in enumerate(gains.items()):
         row = {"edge": str(edge), "change": "remove" if edge in there else "add", **gain}
-        rows.append({**row, "passes": bool(passes[k]), "selected": float(selected[k])})
+        passes = bool(gained[k] > least)
+        rows.append({**row, "passes": passes, "selected": float(selected[k])})
     structures: list[dict[str, Any]] = [
         {"edges": spelled(each, there), "score": tried.score(each), **row}
         for each, row in tried.complete().items()
@@ -482,6 +488,7 @@ def explore(
         _model_of(problem, best),
         JUDGES[problem.judge],
         problem.objective,
+        least,
         directory,
     )
     if directory is not None:
@@ -516,8 +523,8 @@ def _greedy(tried: Tried, edges: Sequence[Edge]) -> Structure:
 
 def _best(tried: Tried, structures: Sequence[Structure], start: Structure) -> Structure:
     """The structure with the largest score of those whose gain passes, or else the start."""
-    passes, _ = tried.tested(structures, start)
-    better = [each for each, is_better in zip(structures, passes, strict=True) if is_better]
+    least, gained, _ = tried.tested(structures, start)
+    better = [each for each, gain in zip(structures, gained, strict=True) if gain > least]
     return max(better, key=tried.score, default=start)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from egolane_pgm.scoring.bootstrap import BLOCK_FRAMES, LEAST_BLOCKS
 from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.tools.files import read_parquet, reading
 from egolane_pgm.types import InputError
@@ -192,14 +194,18 @@ def exploration_text(found: Exploration, style: str) -> str:
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     about = f"gain {interval}, {gain['free_parameters']:+} free parameters\n  (chosen by its score"
     about += " on these frames, which is therefore optimistic)"
+    chance = f"chance gives the best of them a gain of {found.by_chance:+.3f}"
+    if found.by_chance == math.inf:
+        chance = f"fewer than {LEAST_BLOCKS} blocks of {BLOCK_FRAMES} frames do not tell gains from"
+        chance += " chance"
     about = about if found.best else "the graph to start from: no gain is beyond chance"
     parts: list[str | Table] = [
         f"{len(found.structures)} graphs were fitted {fitted}; {found.judge}",
-        "each edge alone [95 % interval over blocks of frames, or over drives]; it passes if its"
-        f"\ngain is larger than what chance gives the best of {len(edges)}, and is selected in a"
-        " share of resamples:",
+        "each edge alone [95 % interval over blocks of frames, or over drives], and the share of"
+        " resamples in which it passes:",
         *[table(edges[columns], forms) for columns in shown],
-        f"{passing} of {len(edges)} edges pass\nbest set: {gain['changes']}\n  {about}",
+        f"{passing} of {len(edges)} edges pass: {chance}",
+        f"best set: {gain['changes']}\n  {about}",
         f"The question was {question}.",
     ]
     return page(parts, style)
