@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.classic.multilane.road import Road, flattened, is_ignored
+from egolane_pgm.classic.multilane.road import Road, flattened
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.vision.camera.model import is_shown
 
 #: Half width of the edge filter, pixels: far away, and how much more at the bottom.
 FILTER = (3.0, 9.0)
@@ -76,11 +77,10 @@ def grouped(row: FloatArray, left: FloatArray, right: FloatArray, group: IntArra
 def find_markings(grey: NDArray[np.uint8], road: Road) -> Markings:
     """The markings of a picture, (H, W), that make seeds."""
     row, left, right = edge_pairs(grey, road.top, road.narrowest, road.widest, road.scale)
-    if road.camera.ignore:
-        is_road = ~is_ignored(road, (left + right) / 2, row)
-        row = row[is_road]
-        left = left[is_road]
-        right = right[is_road]
+    is_road = is_shown(road.camera, (left + right) / 2, row)
+    row = row[is_road]
+    left = left[is_road]
+    right = right[is_road]
     seed = seeds_of(row, left, right, NEAR * road.scale**2, TURN, KEPT)
     is_long = np.bincount(seed, minlength=1)[seed] >= max(2, round(LEAST * road.row_scale))
     return grouped(row.astype(np.float64), left, right, np.where(is_long, seed, -1))

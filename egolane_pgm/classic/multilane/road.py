@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from egolane_pgm.classic.multilane import curves
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
 
 #: Width of the pictures that the constants in pixels are meant for; they are scaled for others.
@@ -109,14 +109,6 @@ def flattened(road: Road, v: FloatArray, u: FloatArray) -> tuple[FloatArray, Flo
     if road.camera.is_distorted:
         u, v = undistorted(road.camera, u, v)
     return (v - road.middle) / road.half, u
-
-
-def is_ignored(road: Road, u: FloatArray, v: FloatArray) -> BoolArray:
-    """Mark the points, (N,), in rectangles of the picture that never show road."""
-    inside: BoolArray = np.zeros(len(u), dtype=bool)
-    for left, top, right, bottom in road.camera.ignore:
-        inside |= (left <= u) & (u < right) & (top <= v) & (v < bottom)
-    return inside
 
 
 def places_of(road: Road, curve: FloatArray) -> FloatArray:

@@ -39,6 +39,7 @@ from egolane_pgm.vision.camera.model import (
     image_to_road,
     is_shown,
     level_rays,
+    pixels_of,
     said_height,
     undistorted,
     with_vanishing_point,
@@ -170,7 +171,7 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
     roll = math.radians(camera.roll_deg)
     a = math.cos(roll) * rays[..., 0] + math.sin(roll) * rays[..., 1]
     b = -math.sin(roll) * rays[..., 0] + math.cos(roll) * rays[..., 1]
-    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+    return pixels_of(camera, a, b)
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
