@@ -28,13 +28,12 @@ import numpy as np
 
 from egolane_pgm.classic.bezier.picture import refined
 from egolane_pgm.classic.bezier.ridges import SIDE_M, ridges, smaller, view_for
-from egolane_pgm.classic.bezier.road import shape_of
 from egolane_pgm.classic.bezier.splines import points_on, spline_finder
 from egolane_pgm.parameters import Parameters, not_searched
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
-from egolane_pgm.vision.detectors import FrameLines, Step
+from egolane_pgm.vision.detectors import FrameLines, Step, fit_shape
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.vision.detectors.simple.paint import painted_share
@@ -50,6 +49,13 @@ PARAMETERS = not_searched((*_PAINT, *TRACKING))
 
 #: Most lines per picture.
 _LINES = 4
+
+#: How far a point of a spline is off its line, metres.
+_POINT_SD_M = 0.1
+
+#: Standard deviations of offset, heading (m/m), curvature (1/m) and its rate (1/m^2) of a road. A
+#: spline is short, and a cubic through it alone would leave the road before it reaches the car.
+_USUAL = (np.inf, 0.03, 1e-3, 3e-5)
 
 #: Range in which paint is searched, metres ahead.
 _PAINT_M = (4.5, 25.0)
@@ -76,7 +82,7 @@ def line_finder(camera: Camera) -> Callable[[Image], Found]:
 
     def find(image: Image) -> Found:
         check_size(image, camera.width, camera.height)
-        red = image[:, :, 2] if image.ndim == 3 else image
+        red = image[:, :, 2]
         if small is not camera:
             size = small.width, small.height
             red = cv2.resize(red, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
@@ -89,7 +95,7 @@ def line_finder(camera: Camera) -> Callable[[Image], Found]:
             y = view.y_m[0] + point[:, 0] * view.across_m
             seen = np.stack(road_to_image(small, x, y), axis=1)
             x, y = image_to_road(small, *refined(grey, small, seen).T)
-            shape.append(shape_of(x, y))
+            shape.append(fit_shape(x, y, _POINT_SD_M, _USUAL))
             ends.append((x.min(), x.max()))
         shapes = np.array(shape).reshape(-1, 4)
         end = np.array(ends).reshape(-1, 2)

@@ -8,7 +8,7 @@ import numpy as np
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, make_view
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, lit_and_seen, make_view
 
 #: Near edge of the view, metres ahead.
 NEAR_M = 4.0
@@ -68,21 +68,16 @@ def ridges(view: BirdsEye, above: Image) -> FloatArray:
     """
     ridge = ridge_weights(np.arange(-_RIDGE_REACH, _RIDGE_REACH + 1) / _RIDGE_SIGMA)
     # The edge of a black part of the picture (a covered lens) is not a strip either.
-    wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
-    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
-    lit[~view.valid] = 0
-    seen = cv2.erode(
-        lit, np.ones((1, len(ridge) + 2), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
-    ).astype(bool)
+    lit, seen = lit_and_seen(view, above, len(ridge), len(ridge) + 2)
     if not seen.any():
         return np.zeros(above.shape)
     level = above.astype(np.float32) / 255
-    level -= level[seen].mean()
+    level -= level[seen > 0].mean()
     level[lit == 0] = 0
     along = cv2.getGaussianKernel(_SMOOTH_TAPS, _SMOOTH_SIGMA)
     response = cv2.sepFilter2D(level, cv2.CV_32F, ridge, along).astype(np.float64)
-    response[~seen | (response < 0)] = 0
-    response[response < np.quantile(response[seen], _LOWER_QUANTILE)] = 0
+    response[(seen == 0) | (response < 0)] = 0
+    response[response < np.quantile(response[seen > 0], _LOWER_QUANTILE)] = 0
     return response
 
 

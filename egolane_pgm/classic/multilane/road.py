@@ -10,6 +10,7 @@ import numpy as np
 from egolane_pgm.classic.multilane import curves
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
+from egolane_pgm.vision.detectors import fit_shape
 
 #: Width of the pictures that the constants in pixels are meant for; they are scaled for others.
 WIDTH = 1280
@@ -127,7 +128,5 @@ def shapes_of(road: Road, curve: FloatArray) -> FloatArray:
         seen = np.isfinite(x) & (u >= 0) & (u < road.camera.width)
         # Two of a hundred rows: the line is at the picture's edge, and its rest has to do.
         seen = seen if seen.sum() > 10 else np.isfinite(x)
-        degree = 1 if one[2] == 0 else 2
-        design = x[seen, None] ** np.arange(degree + 1) / np.array([1.0, 1.0, 2.0])[: degree + 1]
-        shape[k, : degree + 1] = np.linalg.lstsq(design, y[seen])[0]
+        shape[k] = fit_shape(x[seen], y[seen], 1.0, [np.inf] * (2 if one[2] == 0 else 3))
     return shape

@@ -177,21 +177,15 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
     """Fit a0, the s of each line and c with the horizon at b0. Return them with the loss, which
     grows linearly for outliers."""
-    n_lines = len(lines)
-    blocks = []
-    targets = []
-    for i, points in enumerate(lines):
-        below = points[:, 1] - b0
-        block = np.zeros((len(points), n_lines + 2))
-        block[:, 0] = 1.0
-        block[:, 1 + i] = below
-        block[:, -1] = 1.0 / below
-        blocks.append(block)
-        targets.append(points[:, 0])
-    prior = np.zeros((1, n_lines + 2))
-    prior[0, -1] = _NOISE / _BEND
-    design = np.vstack([*blocks, prior])
-    target = np.append(np.concatenate(targets), 0.0)
+    points = np.concatenate(lines)
+    below = points[:, 1] - b0
+    number = np.repeat(np.arange(len(lines)), list(map(len, lines)))
+    # The last row is the prior on c.
+    design = np.zeros((len(points) + 1, len(lines) + 2))
+    design[:-1, 0] = 1.0
+    design[np.arange(len(points)), 1 + number] = below
+    design[:, -1] = np.append(1.0 / below, _NOISE / _BEND)
+    target = np.append(points[:, 0], 0.0)
     weight = np.ones(len(target))
     for _ in range(4):
         root = np.sqrt(weight)
@@ -482,14 +476,10 @@ def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> Float
     q = lines[second, :2]
     s = lines[second, 2:] - lines[second, :2]
     cross = r[:, 0] * s[:, 1] - r[:, 1] * s[:, 0]
-    far = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
-    p = p[far]
-    r = r[far]
-    q = q[far]
-    s = s[far]
-    cross = cross[far]
-    along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
-    return np.asarray(p + along[:, None] * r)
+    is_sharp = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
+    return np.asarray((p + along[:, None] * r)[is_sharp])
 
 
 def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
@@ -600,18 +590,13 @@ def find_lines(
     - mask: (H, W) pixels that may show road
     - about: (2,) the point a, b where the lines roughly meet
     """
-    best = -1.0
-    point = about
-    bend = 0.0
-    for c in _BENDS:
-        for da in _TURNS:
-            at = about + np.array([da, 0.0])
-            profile = _profile(fan(camera, grey, mask, at, c))
-            sharp = float(np.sum(profile**2)) * (1 - 0.05 * abs(c) / _BENDS[-1])
-            if sharp > best:
-                best = sharp
-                point = at
-                bend = c
+
+    def sharpness(tried: tuple[FloatArray, float]) -> float:
+        profile = _profile(fan(camera, grey, mask, *tried))
+        return float(np.sum(profile**2) * (1 - 0.05 * abs(tried[1]) / _BENDS[-1]))
+
+    turned = [(about + np.array([da, 0.0]), c) for c in _BENDS for da in _TURNS]
+    point, bend = max(turned, key=sharpness)
     found = fan(camera, grey, mask, point, bend)
     lines = []
     for side, below in _streaks(found):

@@ -38,6 +38,7 @@ from egolane_pgm.recordings import known_formats
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, clip_slices
 from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
+from egolane_pgm.vision.detectors import fit_shape
 from egolane_pgm.vision.detectors.simple.tracking import closest
 
 #: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.
@@ -297,11 +298,7 @@ def offset_of(line: ImageLine, camera: Camera) -> float:
     y = y[near]
     if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
         return float("nan")
-    prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
-    weight = camera.fx / (POINT_PX * x)
-    rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
-    values = np.concatenate([y * weight, np.zeros(len(prior))])
-    return float(np.linalg.lstsq(np.concatenate([rows, prior]), values, rcond=None)[0][0])
+    return float(fit_shape(x, y, POINT_PX * x / camera.fx, (np.inf, HEADING, CURVATURE))[0])
 
 
 def persistence(

@@ -119,3 +119,18 @@ def look(view: BirdsEye, image: Image) -> Image:
     check_size(image, view.camera.width, view.camera.height)
     above = cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return above.astype(np.uint8, copy=False)
+
+
+def lit_and_seen(view: BirdsEye, above: Image, patch: int, across: int) -> tuple[Image, Image]:
+    """Mark pixels of a one-colour view (R, C) with 1, else 0: outside black parts of the picture (a
+    covered lens, a blanked half), and with road in the view on both sides, (R, C) each.
+
+    - patch: side of the largest dark spot that is not a black part, pixels
+    - across: width of the strip that must be in the view, pixels
+    """
+    spot = np.ones((patch, patch), dtype=np.uint8)
+    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, spot)
+    lit[~view.valid] = 0
+    strip = np.ones((1, across), dtype=np.uint8)
+    seen = cv2.erode(lit, strip, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return lit.astype(np.uint8, copy=False), seen.astype(np.uint8, copy=False)

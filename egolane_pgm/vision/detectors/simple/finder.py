@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, not_searched
 from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import LANE_WIDTHS, Camera
 from egolane_pgm.vision.camera.picture import Picture
@@ -36,7 +36,7 @@ from egolane_pgm.vision.detectors.simple.tracking import (
 )
 
 #: The parameters of all variants, each of which sets `curve`, and of those with one camera.
-PARAMETERS = (*(p for p in FINDING if p.name != "curve"), *_PAINT, *TRACKING)
+PARAMETERS = not_searched((*(p for p in FINDING if p.name != "curve"), *_PAINT, *TRACKING))
 MONO = (*PARAMETERS, *drift.PARAMETERS)
 
 #: The number of frames with a line a lane beyond the edge of the road for a warning.

@@ -197,35 +197,27 @@ def find_lines(
     strips = find_strips(view, mask)
     if is_given:
         strips = replace(strips, width_m=np.full_like(strips.width_m, _STRIPE_M))
-    return fit_lines(view, strips, parameters, prior_shape)
-
-
-def from_above(view: BirdsEye, image: Image) -> Image:
-    """Return the red channel of a picture, (H, W, 3) or grey (H, W), from above, (R, C).
-
-    In red, yellow paint is as bright as white paint and brighter than concrete.
-    """
-    above = look(view, image)
-    # The view has fewer pixels than the picture, so the channel is taken last.
-    red = above if above.ndim == 2 else cv2.extractChannel(above, 2)
-    return red.astype(np.uint8, copy=False)
-
-
-def fit_lines(
-    view: BirdsEye, strips: Strips, parameters: Parameters, prior_shape: FloatArray | None = None
-) -> Found:
-    """Find the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
     if len(strips.row) == 0:
         return Found(np.zeros((0, 4)), np.zeros(0))
     prior = _prior(prior_shape)
     n_values = CURVES[str(parameters["curve"])]
     has = np.array([True, n_values > 2, True, n_values > 3])
-    common = _find_common(view, strips, has, number(parameters, "side_m"), prior)
-    centre, score = _scores(view, strips, common, number(parameters, "side_m"))
+    side_m = number(parameters, "side_m")
+    common = _find_common(view, strips, has, side_m, prior)
+    centre, score = _scores(view, strips, common, side_m)
     peaks = _peaks(centre, score, number(parameters, "least_score"))
     common, found = _refine(strips, common, centre[peaks], has, prior)
     order = np.argsort(found, kind="stable")
     return Found(_shapes(common, found[order]), score[peaks][order])
+
+
+def from_above(view: BirdsEye, image: Image) -> Image:
+    """Return the red channel of a picture, (H, W, 3), from above, (R, C).
+
+    In red, yellow paint is as bright as white paint and brighter than concrete.
+    """
+    # The view has fewer pixels than the picture, so the channel is taken last.
+    return cv2.extractChannel(look(view, image), 2).astype(np.uint8, copy=False)
 
 
 def _shapes(common: FloatArray, offset: FloatArray) -> FloatArray:

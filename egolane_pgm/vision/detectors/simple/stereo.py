@@ -317,7 +317,7 @@ def disparities(pair: Pair, picture: Picture) -> FloatArray:
         with problems_in(name):
             check_size(image, pair.camera.width, pair.camera.height)
         cut = image[pair.top : pair.top + height * pair.rows, : width * _SCALE]
-        grey = cut if cut.ndim == 2 else cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
+        grey = cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
         small.append(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))
     left, right = small
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

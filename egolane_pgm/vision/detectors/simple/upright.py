@@ -56,13 +56,13 @@ _DAYLIGHT = 0.5
 
 
 def is_daylight(camera: Camera, image: Image) -> bool:
-    """Return whether the sky in a picture, (H, W, 3) or (H, W), is about as bright as the road.
+    """Return whether the sky in a picture, (H, W, 3), is about as bright as the road.
 
     A picture without sky counts as taken by day, one that is black all over as taken by night. The
     camera's `ignore` rectangles are left out.
     """
     horizon = max(math.floor(vanishing_point(camera)[1]), 0) // 8
-    red = (image if image.ndim == 2 else image[:, :, 2])[::8, ::8]
+    red = image[::8, ::8, 2]
     rows, columns = (8 * np.arange(n) for n in red.shape)
     shown = is_shown(camera, columns, rows[:, None])
     # The part that headlights light most: neither the bonnet nor far ahead.
