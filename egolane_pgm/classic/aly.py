@@ -32,7 +32,7 @@ from egolane_pgm.classic.bezier.splines import points_on, spline_finder
 from egolane_pgm.parameters import Parameters, not_searched
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
-from egolane_pgm.vision.camera.picture import Image, Picture, check_size
+from egolane_pgm.vision.camera.picture import Image, Picture, as_image, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step, fit_shape
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
@@ -85,7 +85,7 @@ def line_finder(camera: Camera) -> Callable[[Image], Found]:
         red = image[:, :, 2]
         if small is not camera:
             size = small.width, small.height
-            red = cv2.resize(red, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+            red = as_image(cv2.resize(red, size, interpolation=cv2.INTER_AREA))
         control = find_splines(ridges(view, look(view, red)))[:_LINES]
         grey = red.astype(np.float64)
         shape = []

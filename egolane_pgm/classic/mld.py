@@ -28,7 +28,7 @@ from egolane_pgm.classic.multilane.slots import SPAN, Slots, advance, no_slots
 from egolane_pgm.parameters import Parameter, Parameters, not_searched, number
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
-from egolane_pgm.vision.camera.picture import Picture, check_size
+from egolane_pgm.vision.camera.picture import Picture, as_image, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
 
 STEREO = False
@@ -89,7 +89,7 @@ def start(camera: Camera, parameters: Parameters) -> Step:
         nonlocal slots
         check_size(picture.image, camera.width, camera.height)
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
-        markings = find_markings(grey.astype(np.uint8, copy=False), road)
+        markings = find_markings(as_image(grey), road)
         t, u = markings.points(road)
         found = starts(road, join_seeds(markings, road, _EXACT_UP_TO))
         slots = advance(slots, road, t, u, found, most, rng)

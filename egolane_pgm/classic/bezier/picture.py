@@ -40,19 +40,8 @@ _CONTRAST = 0.35
 
 def refined(grey: FloatArray, camera: Camera, point: FloatArray) -> FloatArray:
     """Points (P, 2), columns and rows of a picture (H, W), along one spline from far to near: moved
-    onto the marking, and continued at both ends."""
-    point, contrast = _localized(grey, camera, point)
-    if contrast > 0:
-        least = contrast * _CONTRAST
-        ahead = _extension(grey, camera, point[::-1], least)
-        behind = _extension(grey, camera, point, least)
-        point = np.concatenate([ahead[::-1], point, behind])
-    return point
-
-
-def _localized(grey: FloatArray, camera: Camera, point: FloatArray) -> tuple[FloatArray, float]:
-    """The points, and the usual contrast of the marking. A point moves if it finds a marking and
-    the spline keeps its direction."""
+    onto the marking, and continued at both ends. A point moves if it finds a marking and the spline
+    keeps its direction."""
     along = _unit(np.gradient(point, axis=0))
     place, contrast = _strip(grey, camera, point, along, _BESIDE)
     moved = np.where(np.isfinite(place)[:, None], place_of(point, along, place), point)
@@ -61,8 +50,13 @@ def _localized(grey: FloatArray, camera: Camera, point: FloatArray) -> tuple[Flo
         turned = (new * along).sum(axis=1) < _KEPT
         in_sky = np.isnan(image_to_road(camera, *moved.T)[0])
         moved[turned | in_sky] = point[turned | in_sky]
-    found = np.isfinite(contrast)
-    return moved, float(np.median(contrast[found])) if found.any() else 0.0
+    if not np.isfinite(contrast).any():
+        return moved
+    # The usual contrast of the marking.
+    least = float(np.nanmedian(contrast)) * _CONTRAST
+    ahead = _extension(grey, camera, moved[::-1], least)
+    behind = _extension(grey, camera, moved, least)
+    return np.concatenate([ahead[::-1], moved, behind])
 
 
 def place_of(point: FloatArray, along: FloatArray, place: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ a line; in a box around that, a spline. Points are (column, row) of the view, pi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import cv2
 import numpy as np
@@ -56,9 +56,6 @@ _LENGTH = 30.0
 #: Largest turn of a spline, radians.
 _TURN = 1.22
 
-#: The last arguments of `kernels.spline_score`: jitter, step, weights of straightness and length.
-_SCORING = (2, 0.01, 1.2, 1.5)
-
 #: Two splines are one if their chords, or the means along them, are nearer than these angles
 #: (radians) and distances (pixels), ...
 _MERGE = ((0.1, 5.0), (0.2, 10.0))
@@ -85,9 +82,9 @@ def spline_finder() -> Callable[[FloatArray], FloatArray]:
         value = ridge[rows, columns]
         lines = _first_lines(ridge, point, value)
         boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1])
-        lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0])
+        lines = _fitted_lines(_chosen(boxes, point, value, line_draw), ridge.shape[0])
         boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1])
-        return _checked(*_fitted_splines(boxes, point, value, spline_draw, ridge))
+        return _checked(*_fitted_splines(_chosen(boxes, point, value, spline_draw), ridge))
 
     return find
 
@@ -144,36 +141,30 @@ def _boxes(lines: FloatArray, window: float, n_columns: int) -> FloatArray:
     return np.array(boxes).reshape(-1, 2)
 
 
-def _sample(weight: FloatArray, draw: FloatArray) -> IntArray:
-    """Indices of points, drawn with probabilities in proportion to (N,) weights by uniform random
-    numbers; of the numbers' shape."""
-    share = np.cumsum(weight)
-    found: IntArray = np.searchsorted(share, draw * share[-1], side="right").astype(np.int64)
-    return found.clip(max=len(weight) - 1)
+def _chosen(
+    boxes: FloatArray, point: FloatArray, value: FloatArray, draw: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray, IntArray]]:
+    """Yield the points (N, 2) in each box that has enough of them, their values (N,), and samples.
+
+    A sample has indices of points, drawn with probabilities in proportion to their values by
+    uniform random numbers; of the numbers' shape.
+    """
+    for left, right in boxes:
+        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
+        if inside.sum() >= draw.shape[1]:
+            share = np.cumsum(value[inside])
+            sample = np.searchsorted(share, draw * share[-1], side="right")
+            yield point[inside], value[inside], sample.clip(max=len(share) - 1)
 
 
 def _fitted_lines(
-    boxes: FloatArray,
-    point: FloatArray,
-    value: FloatArray,
-    draw: FloatArray,
-    n_rows: int,
+    chosen: Iterable[tuple[FloatArray, FloatArray, IntArray]], n_rows: int
 ) -> FloatArray:
     """The RANSAC line of each box that has one, (K, 3) as in `_first_lines`."""
     most_turn = float(np.tan(np.deg2rad(_MOST_TURN_DEG)))
     found = []
-    for left, right in boxes:
-        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
-        if inside.sum() < draw.shape[1]:
-            continue
-        line, score = kernels.ransac_line(
-            point[inside],
-            value[inside],
-            _sample(value[inside], draw),
-            _LINE_AWAY,
-            _LINE_POINTS,
-            most_turn,
-        )
+    for point, value, sample in chosen:
+        line, score = kernels.ransac_line(point, value, sample, _LINE_AWAY, _LINE_POINTS, most_turn)
         if score >= 0:
             turn = line[2] / line[3]
             ends = line[0] + turn * (np.array([0.0, n_rows - 1]) - line[1])
@@ -182,29 +173,18 @@ def _fitted_lines(
 
 
 def _fitted_splines(
-    boxes: FloatArray,
-    point: FloatArray,
-    value: FloatArray,
-    draw: FloatArray,
-    ridge: FloatArray,
+    chosen: Iterable[tuple[FloatArray, FloatArray, IntArray]], ridge: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """The control points (M, 4, 2) and the score (M,) of the RANSAC spline of each box that has
     one."""
-    control = np.zeros((len(boxes), 4, 2))
-    score = np.full(len(boxes), -np.inf)
-    for k, (left, right) in enumerate(boxes):
-        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
-        if inside.sum() < draw.shape[1]:
-            continue
-        control[k], score[k] = kernels.ransac_spline(
-            point[inside],
-            np.sort(_sample(value[inside], draw), axis=1),
-            _STRAIGHT,
-            ridge,
-            *_SCORING,
-        )
-    good = score > 0
-    return control[good], score[good]
+    controls = []
+    scores = []
+    for point, _, sample in chosen:
+        control, score = kernels.ransac_spline(point, np.sort(sample, axis=1), _STRAIGHT, ridge)
+        if score > 0:
+            controls.append(control)
+            scores.append(score)
+    return np.array(controls).reshape(-1, 4, 2), np.array(scores)
 
 
 def points_on(control: FloatArray) -> FloatArray:
@@ -219,19 +199,13 @@ def points_on(control: FloatArray) -> FloatArray:
 def _checked(control: FloatArray, score: FloatArray) -> FloatArray:
     """The splines (M, 4, 2), best first, without those that are short or turned, and without the
     worse one of two that are nearly the same."""
+    across, along = (control[:, 3] - control[:, 0]).T
+    is_sound = (np.hypot(across, along) >= _LENGTH) & (np.abs(np.arctan2(across, along)) <= _TURN)
     kept: list[int] = []
     for k in np.argsort(-score, kind="stable"):
-        if _is_sound(control[k]) and not any(
-            _is_same(control[k], control[other]) for other in kept
-        ):
+        if is_sound[k] and not any(_is_same(control[k], control[other]) for other in kept):
             kept.append(int(k))
     return control[kept]
-
-
-def _is_sound(control: FloatArray) -> bool:
-    along = control[3] - control[0]
-    turn = abs(np.arctan2(along[0], along[1]))
-    return bool(np.hypot(*along) >= _LENGTH and turn <= _TURN)
 
 
 def _is_same(one: FloatArray, other: FloatArray) -> bool:

@@ -83,7 +83,13 @@ def join_seeds(markings: Markings, road: Road, exact_up_to: int) -> Markings:
         links = candidate_links(markings, road)
         markings = merged(markings, links, certain(links, scale))
     links = candidate_links(markings, road)
-    is_on = infer(links, unary(links, scale), power_sums(markings, scale), exact_up_to)
+    probability = unary(links, scale)
+    sums = power_sums(markings, scale)
+    is_on = probability > 0.5
+    for of in groups_of(links, len(sums)):
+        if len(of) > 1:
+            solve = least_energy if len(of) <= exact_up_to else forced_in_turn
+            is_on[of] = solve(links.above[of], links.below[of], probability[of], sums)
     return merged(markings, links, is_on)
 
 
@@ -123,20 +129,6 @@ def power_sums(markings: Markings, scale: float) -> FloatArray:
     each = np.concatenate([powers, u[:, None] * powers[:, :4], (u * u)[:, None]], axis=1)
     sums: FloatArray = np.add.reduceat(each, markings.starts[:-1], axis=0)
     return sums
-
-
-def infer(links: Links, probability: FloatArray, sums: FloatArray, exact_up_to: int) -> BoolArray:
-    """Return the links, (K,), that are on.
-
-    - probability: (K,) `unary`
-    - sums: (S, 12) `power_sums`
-    """
-    is_on = probability > 0.5
-    for of in groups_of(links, len(sums)):
-        if len(of) > 1:
-            solve = least_energy if len(of) <= exact_up_to else forced_in_turn
-            is_on[of] = solve(links.above[of], links.below[of], probability[of], sums)
-    return is_on
 
 
 def groups_of(links: Links, n_seeds: int) -> list[IntArray]:
