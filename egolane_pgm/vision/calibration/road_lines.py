@@ -22,11 +22,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from egolane_pgm.tools.progress import bar
@@ -35,6 +36,7 @@ from egolane_pgm.vision.camera.model import (
     LANE_WIDTHS,
     USUAL_HEIGHTS,
     Camera,
+    Points,
     distorted,
     image_to_road,
     is_shown,
@@ -44,8 +46,8 @@ from egolane_pgm.vision.camera.model import (
     undistorted,
     with_vanishing_point,
 )
-from egolane_pgm.vision.camera.picture import Image, check_size
-from egolane_pgm.vision.camera.pictures import Source, first_size, spread
+from egolane_pgm.vision.camera.picture import Image, check_size, rectangle
+from egolane_pgm.vision.camera.pictures import Load, Source, first_size, spread
 
 #: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
@@ -154,9 +156,19 @@ def calibrate_road(source: Source, camera: Camera | None = None) -> tuple[Camera
         found = find_in_stills(camera, spread(source, MOST_STILLS))
         view = view_from(camera, found.ahead, found.each, found.fits)
     n_lines = sum(len(lines) for lines in found.lines)
-    comment = describe_view(view, f"{n_lines} lines found in {len(found.lines)} pictures")
+    u, v = view.vanishing_point
+    du, dv = view.spread_px
+    lanes = view.gaps_m[view.is_lane]
+    comment = (
+        f"Road: {n_lines} lines found in {len(found.lines)} pictures.\n"
+        f"  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or"
+        f" take ({du:.1f}, {dv:.1f}) px in {view.n_frames} frames.\n"
+        f"Height: from a lane width of {view.camera.lane_width_m:g} m; {len(lanes)} of"
+        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes\n"
+        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most)."
+    )
     if doubt := doubts_of(view):
-        warnings.warn(f"{source.path}: {doubt}", UserWarning, stacklevel=2)
+        warnings.warn(f"{source.path}: {doubt}", stacklevel=2)
         comment += f"\n{doubt}"
     return view.camera, comment
 
@@ -166,7 +178,7 @@ def to_level(camera: Camera, u: FloatArray, v: FloatArray) -> FloatArray:
     return level_rays(camera, *undistorted(camera, u, v))
 
 
-def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+def from_level(camera: Camera, rays: FloatArray) -> Points:
     """The pixels u, v of rays (..., 2) in the undistorted picture."""
     roll = math.radians(camera.roll_deg)
     a = math.cos(roll) * rays[..., 0] + math.sin(roll) * rays[..., 1]
@@ -264,7 +276,13 @@ def view_from(
             f"{camera.height}; the horizon must be in it"
         )
     turned = replace(with_vanishing_point(camera, u, v), height_m=1.0, lateral_m=0.0)
-    offsets = [_offsets(turned, ahead, fit) for fit in fits]
+    # The offsets (L,) of each frame's lines, in heights of the camera.
+    offsets = [
+        image_to_road(
+            turned, *from_level(turned, _rays(ahead, 0.0, fit.slope, 0.2)), undistorted=True
+        )[1]
+        for fit in fits
+    ]
     gaps = np.concatenate([[], *(np.diff(offset) for offset in offsets)])
     middles = np.concatenate([[], *((offset[1:] + offset[:-1]) / 2 for offset in offsets)])
     low, high = (lane_width_m / height for height in reversed(_HEIGHTS))
@@ -284,12 +302,6 @@ def view_from(
     height_m = lane_width_m / float(gap)
     seen = replace(turned, height_m=height_m, lateral_m=camera.lateral_m)
     return RoadView(seen, len(each), np.array([u, v]), spread, gaps * height_m, lanes)
-
-
-def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
-    """The offsets (L,) of a frame's lines, in heights of the camera."""
-    below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
-    return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
 
 
 def doubts_of(view: RoadView) -> str:
@@ -335,20 +347,6 @@ def doubts_of(view: RoadView) -> str:
             + f" not {one:g} m; the height follows from this width"
         )
     return ""
-
-
-def describe_view(view: RoadView, what: str) -> str:
-    """Describe a view in some lines. what: the lines used."""
-    u, v = view.vanishing_point
-    du, dv = view.spread_px
-    lanes = view.gaps_m[view.is_lane]
-    return (
-        f"Road: {what}.\n  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or"
-        f" take ({du:.1f}, {dv:.1f}) px in {view.n_frames} frames.\n"
-        f"Height: from a lane width of {view.camera.lane_width_m:g} m; {len(lanes)} of"
-        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes\n"
-        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most)."
-    )
 
 
 # --- lines in stills ----------------------------------------------------------------------------
@@ -547,16 +545,16 @@ def fan(
     v = v.astype(np.float32)
     bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
-    kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
+    kernel = rectangle(1, round(_MARKING / _STEP) | 1)
     # The road between two dark seams is not paint, and the gap in a double line is closed.
-    seam = np.ones((1, round(_SEAM / _STEP) | 1), dtype=np.uint8)
+    seam = rectangle(1, round(_SEAM / _STEP) | 1)
     bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, seam)
     paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)
     shown = cv2.erode(seen, kernel) * inside > 0
     return Fan(np.where(shown, paint, 0.0), shown, below, side)
 
 
-def _rays(point: FloatArray, bend: float, side: FloatArray, below: FloatArray) -> FloatArray:
+def _rays(point: FloatArray, bend: float, side: FloatArray, below: ArrayLike) -> FloatArray:
     side, below = np.broadcast_arrays(side, below)
     return np.stack([point[0] + side * below + bend / below, point[1] + below], axis=-1)
 
@@ -644,7 +642,7 @@ class FoundLines:
     fits: list[FrameFit]
 
 
-def find_in_stills(camera: Camera, stills: Iterable[tuple[str, Callable[[], Image]]]) -> FoundLines:
+def find_in_stills(camera: Camera, stills: Iterable[tuple[str, Load]]) -> FoundLines:
     """Find the lines in stills that one camera took of a road. Damaged stills are left out.
 
     - stills: the name of each, and a function that reads it; `camera.ignore` are the parts that

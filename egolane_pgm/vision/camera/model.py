@@ -25,6 +25,9 @@ from egolane_pgm.types import (
 )
 from egolane_pgm.vision.camera.lens import COEFFICIENTS, read_keys
 
+#: Two coordinates of points, of one shape: u and v in pixels, a and b of rays, x and y in metres.
+Points = tuple[FloatArray, FloatArray]
+
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
 
@@ -118,8 +121,8 @@ class Camera:
         _check_numbers("distortion", self.distortion, COEFFICIENTS[self.lens])
         for box in self.ignore:
             _check_numbers("ignore", box, 4)
-        if any(box[0] >= box[2] or box[1] >= box[3] for box in self.ignore):
-            raise InputError("ignore: needs rectangles left, top, right, bottom, in pixels")
+            if box[0] >= box[2] or box[1] >= box[3]:
+                raise InputError("ignore: needs rectangles left, top, right, bottom, in pixels")
 
     @property
     def is_distorted(self) -> bool:
@@ -176,7 +179,7 @@ def axes(camera: Camera) -> FloatArray:
 
 def road_to_image(
     camera: Camera, x: ArrayLike, y: ArrayLike, *, undistorted: bool = False
-) -> tuple[FloatArray, FloatArray]:
+) -> Points:
     """Pixels u, v of points of the road; NaN for points behind the camera.
 
     - x, y: metres ahead and to the right, of any shapes that broadcast
@@ -192,7 +195,7 @@ def road_to_image(
     return pixels_of(camera, *((a, b) if undistorted else _distort(camera, a, b)))
 
 
-def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> Points:
     """Pixels u, v of points x, y of the road, as `road_to_image`; NaN also for points far outside
     the picture that the distortion formula folds back into it."""
     u, v = road_to_image(camera, x, y)
@@ -208,7 +211,7 @@ def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, F
 
 def image_to_road(
     camera: Camera, u: ArrayLike, v: ArrayLike, *, undistorted: bool = False
-) -> tuple[FloatArray, FloatArray]:
+) -> Points:
     """Points x, y of the road, metres, that pixels show; NaN at the horizon and above.
 
     - u, v: pixels, of any shapes that broadcast
@@ -294,29 +297,29 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     )
 
 
-def rays_of(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def rays_of(camera: Camera, u: ArrayLike, v: ArrayLike) -> Points:
     """The rays (a, b, 1), a to the right and b down, of pixels u, v of the picture without lens
     distortion, of any shapes that broadcast: a and b."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     return (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
 
 
-def pixels_of(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def pixels_of(camera: Camera, a: FloatArray, b: FloatArray) -> Points:
     """The pixels u, v of rays (a, b, 1): the inverse of `rays_of`."""
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
-def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> Points:
     """Take pixels u, v of the picture to the picture without lens distortion."""
     return pixels_of(camera, *_undistort(camera, *rays_of(camera, u, v)))
 
 
-def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> Points:
     """Take pixels u, v of the picture without lens distortion to the picture."""
     return pixels_of(camera, *_distort(camera, *rays_of(camera, u, v)))
 
 
-def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> Points:
     if not camera.is_distorted:
         return a, b
     if camera.lens == "equidistant":
@@ -328,7 +331,7 @@ def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, 
     return a * radial + shift_a, b * radial + shift_b
 
 
-def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> Points:
     if not camera.is_distorted:
         return a, b
     if camera.lens == "equidistant":

@@ -53,19 +53,6 @@ def find_detector(
     return ReadyDetector(name, plugin, values, where)
 
 
-def check_pair(detector: ReadyDetector, camera: Camera, has_right: bool, where: str) -> None:
-    """Raise InputError if a stereo detector has no second camera, or a mono detector has one."""
-    if detector.is_stereo and not has_right:
-        raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
-    if has_right and not detector.is_stereo:
-        raise InputError(f"{where}: detector {detector.name} has one camera; leave the second out")
-    if detector.is_stereo and camera.baseline_m is None:
-        raise InputError(
-            f"{detector.where}: {detector.name} needs the distance of the two cameras, baseline_m"
-            " of the camera"
-        )
-
-
 def start(detector: ReadyDetector, camera: Camera) -> DetectorStep:
     """Prepare a detector for the first picture of a drive."""
     with plugin_errors(detector.plugin, detector.where):

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameters, number
-from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.camera.picture import Image, as_image, rectangle
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, lit_and_seen
 
 #: Length over which contrast is averaged, metres.
@@ -62,7 +62,7 @@ def marking_mask(
     _, seen = lit_and_seen(view, above, wide, 2 * wide + 1)
     count = _blur(seen, view)
     np.maximum(count, np.float32(1e-3), out=count)
-    strip = np.ones((1, wide), dtype=np.uint8)
+    strip = rectangle(1, wide)
     long = _odd(smooth_along_m / view.along_m)
     bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip)
     share = cv2.boxFilter(bright, cv2.CV_32F, (1, long)).astype(np.float32, copy=False)
@@ -79,7 +79,7 @@ def marking_mask(
     full = 255
     strength = cv2.convertScaleAbs(share, alpha=full / _IN_FULL)
     strength = cv2.threshold(strength, full // _IN_FULL, 0, cv2.THRESH_TOZERO)[1]
-    return strength.astype(np.uint8, copy=False)
+    return as_image(strength)
 
 
 def _blur(values: NDArray[Any], view: BirdsEye) -> NDArray[np.float32]:
@@ -124,7 +124,7 @@ def streak_cover(image: Image) -> float:
     if not _width(image) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
         return 0.0
     # OpenCV copies a channel faster than NumPy does.
-    rows = cv2.extractChannel(np.ascontiguousarray(rows), 2).astype(np.uint8, copy=False)
+    rows = as_image(cv2.extractChannel(np.ascontiguousarray(rows), 2))
     thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image))
     least = cv2.addWeighted(rows, _BRIGHTER, rows, 0.0, _NOISE)
     is_streak = cv2.compare(thin, least, cv2.CMP_GT)
@@ -135,8 +135,7 @@ def streak_cover(image: Image) -> float:
 
 def without_streaks(image: Image) -> Image:
     """Remove the strips of a picture that are as thin as streaks."""
-    opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image))
-    return opened.astype(np.uint8, copy=False)
+    return as_image(cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image)))
 
 
 def _width(image: Image) -> int:
@@ -145,4 +144,4 @@ def _width(image: Image) -> int:
 
 
 def _strip(image: Image) -> Image:
-    return np.ones((1, _width(image) + 1), dtype=np.uint8)
+    return rectangle(1, _width(image) + 1)

@@ -113,7 +113,7 @@ def _feet(view: BirdsEye, above: Image, x: FloatArray, left_m: float, share: flo
     - x: (K,) metres ahead of the samples of each ray, increasing
     - left_m: lateral position of the view's first column from the camera
     """
-    row = np.floor((view.x_m[0] - x) / view.along_m + 0.5).astype(np.int64)[:, None]
+    row = _nearest(view.x_m[0] - x, 0.0, view.along_m)[:, None]
     column = _nearest(x[:, None] * _RAYS, left_m, view.across_m)
     inside = (column >= 0) & (column < above.shape[1])
     column = np.where(inside, column, 0)
