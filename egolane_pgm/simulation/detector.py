@@ -156,13 +156,19 @@ def _road_tracks(
     role = np.where(number == first, 0, np.where(number == last, 2, 1))
     role[:, -1] = 3
 
-    d = detector
     fps = road.frame_rate
-    seen = np.array([d.seen_left, d.seen_inner, d.seen_right, d.seen_shoulder])[role]
+    seen = np.array(
+        [detector.seen_left, detector.seen_inner, detector.seen_right, detector.seen_shoulder]
+    )[role]
     excess = np.clip((np.abs(true_m) - detector.range_m) / _RANGE_SOFTNESS_M, -50, 50)
     in_view = _slow_events(rng, seen / (1.0 + np.exp(excess)), detector.in_view_s * fps)
     is_detected = in_view & exists & (rng.random(true_m.shape) >= detector.miss)
-    flags = [d.continuous_left, d.continuous_inner, d.continuous_right, d.continuous_shoulder]
+    flags = [
+        detector.continuous_left,
+        detector.continuous_inner,
+        detector.continuous_right,
+        detector.continuous_shoulder,
+    ]
     is_continuous = _slow_events(rng, np.array(flags)[role], _FLAG_S * fps)
     noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
 

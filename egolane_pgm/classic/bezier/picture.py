@@ -106,9 +106,9 @@ def _strip(
 def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float) -> FloatArray:
     """Points (E, 2) that continue points behind their last one, while strips are found that are
     bright enough and turn little."""
-    mean = _unit((point[-1] - point[0])[None])[0]
+    mean = _unit(point[-1] - point[0])
     at = point[-1]
-    along = _unit((point[-1] - point[-2])[None])[0]
+    along = _unit(point[-1] - point[-2])
     found: list[FloatArray] = []
     while len(found) < 100:
         ahead = at + _STEP * along
@@ -119,7 +119,7 @@ def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float
         if not contrast[0] >= least:
             break
         new = place_of(ahead[None], along[None], place)[0]
-        turn = _unit((new - at)[None])[0]
+        turn = _unit(new - at)
         if turn @ along < _TURN or turn @ mean < _TURN_OF_ALL:
             break
         found.append(new)
@@ -129,6 +129,6 @@ def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float
 
 
 def _unit(vector: FloatArray) -> FloatArray:
-    """Vectors (P, 2) of length 1."""
-    size: FloatArray = vector / np.maximum(np.hypot(vector[:, 0], vector[:, 1]), 1e-9)[:, None]
-    return size
+    """Vectors (..., 2) of length 1."""
+    size = np.hypot(vector[..., 0], vector[..., 1])
+    return np.asarray(vector / np.maximum(size, 1e-9)[..., None])

@@ -85,8 +85,7 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
     free = np.ones(above.shape, dtype=bool)
     share = number(parameters, "shadow_share")
     near = float(view.x_m[-1])
-    far = float(view.x_m[0])
-    count = int(math.log(far / near) / math.log1p(_FARTHER)) + 1
+    count = int(math.log(view.x_m[0] / near) / math.log1p(_FARTHER)) + 1
     if not share or count < _DARK + _EDGE + _ROAD:
         return free
     x: FloatArray = near * np.power(1 + _FARTHER, np.arange(count, dtype=np.float64))
