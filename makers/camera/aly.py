@@ -123,7 +123,7 @@ def stills(labels: Path) -> Measured:
 def last_frames(folder: Path, *, tracked: bool) -> Measured:
     """The last frames of the ten clips, alone or as valid lines after the frames before."""
     camera = tusimple.CAMERA
-    detector = find_detector("aly", {}, Path(), "clips")
+    detector = find_detector("aly", {}, "clips")
     find = line_finder(camera)
 
     def found(images: list[Image]) -> Found:

@@ -198,7 +198,7 @@ def detector_of(experiment: Experiment, key: str) -> ReadyDetector:
     where = f"{source}: recording.detector"
     given = experiment.parameters.get(DETECTOR, {})
     given_by = f"{source}: parameters.{DETECTOR}"
-    return find_detector(recording.detector, given, Path(), where, given_by)
+    return find_detector(recording.detector, given, where, given_by)
 
 
 def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
