@@ -28,7 +28,7 @@ from egolane_pgm.classic.multilane.slots import SPAN, Slots, advance, no_slots
 from egolane_pgm.parameters import Parameter, Parameters, not_searched, number
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
-from egolane_pgm.vision.camera.picture import Picture, check_size
+from egolane_pgm.vision.camera.picture import Picture, as_image, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
 
 STEREO = False
@@ -42,19 +42,6 @@ PARAMETERS = not_searched(
             lowest=2,
             highest=6,
         ),
-        Parameter(
-            "shown_above",
-            "integer",
-            3,
-            "a line is shown when it was seen in more than this many of the last 10 pictures",
-            highest=9,
-        ),
-        Parameter(
-            "widest_m",
-            "positive",
-            0.3,
-            "the widest marking, metres; the authors' pixels are .23 for TuSimple's camera",
-        ),
     )
 )
 
@@ -63,6 +50,12 @@ _REACH_M = 55.0
 
 #: Width of the narrowest marking, metres.
 _NARROWEST_M = 0.078
+
+#: Width of the widest marking, metres; the authors' pixels are .23 for TuSimple's camera.
+_WIDEST_M = 0.3
+
+#: A line is shown when it was seen in more than this many of the last 10 pictures.
+SHOWN_ABOVE = 3
 
 #: A line starts only where its markings fill this share of its rows (the authors': .382; dashes of
 #: a motorway fill less).
@@ -87,7 +80,7 @@ def start(camera: Camera, parameters: Parameters) -> Step:
 
     Raises InputError if the camera sees too little of the road.
     """
-    road = road_of(camera, _REACH_M, _NARROWEST_M, number(parameters, "widest_m"))
+    road = road_of(camera, _REACH_M, _NARROWEST_M, _WIDEST_M)
     most = int(number(parameters, "lines"))
     rng = np.random.default_rng(0)
     slots = no_slots()
@@ -96,25 +89,22 @@ def start(camera: Camera, parameters: Parameters) -> Step:
         nonlocal slots
         check_size(picture.image, camera.width, camera.height)
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
-        markings = find_markings(grey.astype(np.uint8, copy=False), road)
+        markings = find_markings(as_image(grey), road)
         t, u = markings.points(road)
-        found = starts(road, join_seeds(markings, road, _EXACT_UP_TO), _FILLED)
+        found = starts(road, join_seeds(markings, road, _EXACT_UP_TO))
         slots = advance(slots, road, t, u, found, most, rng)
-        return lines_of(slots, road, number(parameters, "shown_above"))
+        return lines_of(slots, road)
 
     return step
 
 
-def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
-    """The curves (C, 3) of the joined seeds of a picture from which lines may start.
-
-    - filled: the least share of a line's rows with a marking
-    """
+def starts(road: Road, joined: Markings) -> FloatArray:
+    """The curves (C, 3) of the joined seeds of a picture from which lines may start."""
     t, u = joined.points(road)
     long = []
     for first, stop in pairwise(joined.starts.tolist()):
         rows = joined.row[stop - 1] - joined.row[first] + 1
-        if rows >= _ROWS * road.row_scale and stop - first >= filled * rows:
+        if rows >= _ROWS * road.row_scale and stop - first >= _FILLED * rows:
             of = slice(first, stop)
             long.append(curves.fit(t[of], u[of], 2 if np.ptp(t[of]) > SPAN else 1))
     curve: FloatArray = np.array(long).reshape(-1, 3)
@@ -124,12 +114,12 @@ def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
     return good
 
 
-def lines_of(slots: Slots, road: Road, shown_above: float) -> FrameLines:
+def lines_of(slots: Slots, road: Road) -> FrameLines:
     """Return the output of the detector for a frame, lines from left to right."""
     slot = np.flatnonzero(slots.is_used)
     shape = shapes_of(road, slots.curve[slot])
     counter = slots.counter[slot]
-    is_valid = counter > shown_above
+    is_valid = counter > SHOWN_ABOVE
     order = np.argsort(shape[:, 0], kind="stable")
     return FrameLines(
         shape[order],

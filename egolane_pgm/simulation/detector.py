@@ -156,13 +156,19 @@ def _road_tracks(
     role = np.where(number == first, 0, np.where(number == last, 2, 1))
     role[:, -1] = 3
 
-    d = detector
     fps = road.frame_rate
-    seen = np.array([d.seen_left, d.seen_inner, d.seen_right, d.seen_shoulder])[role]
+    seen = np.array(
+        [detector.seen_left, detector.seen_inner, detector.seen_right, detector.seen_shoulder]
+    )[role]
     excess = np.clip((np.abs(true_m) - detector.range_m) / _RANGE_SOFTNESS_M, -50, 50)
     in_view = _slow_events(rng, seen / (1.0 + np.exp(excess)), detector.in_view_s * fps)
     is_detected = in_view & exists & (rng.random(true_m.shape) >= detector.miss)
-    flags = [d.continuous_left, d.continuous_inner, d.continuous_right, d.continuous_shoulder]
+    flags = [
+        detector.continuous_left,
+        detector.continuous_inner,
+        detector.continuous_right,
+        detector.continuous_shoulder,
+    ]
     is_continuous = _slow_events(rng, np.array(flags)[role], _FLAG_S * fps)
     noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
 
@@ -232,25 +238,17 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
         np.concatenate(parts, axis=1) for parts in zip(*tracks, strict=True)
     )
     lri, is_valid = line_reliability(is_detected)
-    is_listed = lri > 0
     held, flag = (
         pd.DataFrame(np.where(is_detected, values, np.nan)).ffill().to_numpy()
         for values in (offset, is_continuous)
     )
-    offset = np.where(is_listed, held, np.nan)
-    is_continuous = (flag == 1) & is_listed
-
-    n_slots = max(1, int(is_listed.sum(axis=1).max()))
-    order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last
-    frame_id = np.arange(len(is_failing), dtype=np.int64)
-    return LineLog(
-        frame_id,
-        frame_id / road.frame_rate,
-        np.take_along_axis(offset, order, axis=1),
-        np.take_along_axis(is_valid & is_listed, order, axis=1),
-        np.take_along_axis(is_continuous, order, axis=1),
-        np.take_along_axis(np.where(is_listed, lri, np.nan), order, axis=1),
-        source="simulated line detector",
+    frame, track = np.nonzero(lri > 0)
+    order = np.lexsort((held[frame, track], frame))
+    frame = frame[order]
+    track = track[order]
+    columns: list[Any] = [v[frame, track] for v in (held, is_valid, flag == 1, lri)]
+    return LineLog.from_rows(
+        np.arange(len(road)), road.frame_rate, frame, *columns, source="simulated line detector"
     )
 
 

@@ -93,20 +93,13 @@ def _road_points(camera: Camera) -> tuple[FloatArray, FloatArray]:
     return x, y
 
 
-def lines_at(road: Road, frame: int) -> list[Paint]:
-    """The lines of a simulated road in a frame: continuous ones outside, dashed ones inside."""
-    offsets = road.line_offset_m[frame]
-    last = len(offsets) - 1
-    return [
-        Paint(offset) if k in (0, last) else Paint(offset, DASH_M, PERIOD_M)
-        for k, offset in enumerate(offsets.tolist())
-    ]
-
-
 def draw_frame(road: Road, frame: int, camera: Camera = CAMERA) -> Image:
-    """Draw the picture of a frame of a simulated drive; the same arguments give the same one."""
+    """Draw the picture of a frame of a simulated drive, with continuous lines outside and dashed
+    ones inside; the same arguments give the same one."""
+    outer, *inner, last = road.line_offset_m[frame].tolist()
+    lines = [Paint(outer), *(Paint(offset, DASH_M, PERIOD_M) for offset in inner), Paint(last)]
     travelled_m = frame * SPEED_MPS / road.frame_rate
-    return draw_road(lines_at(road, frame), travelled_m, camera=camera, seed=frame)
+    return draw_road(lines, travelled_m, camera=camera, seed=frame)
 
 
 def write_pictures(road: Road, folder: Path) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import UNASSIGNED, FloatArray
 from egolane_pgm.vision.camera.model import Camera, road_seen, scaled
-from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.camera.picture import Image, as_image
 from egolane_pgm.vision.detectors import FrameLines, powers
 
 Colour = tuple[int, int, int]
@@ -114,9 +114,9 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     width = places.camera.width
     height = places.camera.height
     # OpenCV only copies a picture of this size.
-    shown = np.asarray(cv2.resize(picture, (width, height)), dtype=np.uint8)
+    shown = as_image(cv2.resize(picture, (width, height)))
     columns, rows = places.from_above
-    from_above = np.asarray(cv2.remap(shown, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
+    from_above = as_image(cv2.remap(shown, columns, rows, cv2.INTER_LINEAR))
     _draw_lines(places, shown, from_above, scene.lines)
     canvas[:height, :width] = shown
     canvas[:height, width : width + from_above.shape[1]] = from_above
@@ -184,18 +184,19 @@ def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
 def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
     n_lanes = len(scene.belief)
     for k, (left, upper, right, lower) in enumerate(bar_boxes(places, n_lanes)):
-        is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
-        share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
+        is_lane = k < n_lanes
+        is_answer = scene.assigned == (k + 1 if is_lane else UNASSIGNED)
+        share = float(scene.belief[k] if is_lane else is_answer)
         height = round(share * (lower - upper))
-        colour = OTHER if not is_answer else ASSIGNED if k < n_lanes else FRAME
+        colour = OTHER if not is_answer else ASSIGNED if is_lane else FRAME
         if height:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
-        name = f"lane {k + 1}" if k < n_lanes else "not sure"
+        name = f"lane {k + 1}" if is_lane else "not sure"
         middle = (left + right) // 2
         room = right - left
         _write(canvas, name, (middle, lower + 15), room, INK, centred=True)
-        if k < n_lanes:
+        if is_lane:
             text = f"{100 * share:.0f} %"
             _write(canvas, text, (middle, upper - 5), room, INK, centred=True)
             if scene.truth == k + 1:

@@ -18,9 +18,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.classic.aly import PARAMETERS, Found, line_finder
+from egolane_pgm.classic.aly import Found, line_finder
 from egolane_pgm.classic.bezier.ridges import FAR_M, NEAR_M
-from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.camera.picture import Image
@@ -111,10 +110,10 @@ def measured(pictures: Iterable[tuple[Camera, dict[str, Any], Found]]) -> Measur
     return Measured(np.sum(at_10_m, axis=0), np.sum(paper, axis=0), np.sum(matlab, axis=0))
 
 
-def stills(labels: Path, **given: Any) -> Measured:
+def stills(labels: Path) -> Measured:
     """The first 55 stills, each for itself."""
     camera = tusimple.CAMERA
-    find = line_finder(camera, resolve_parameters(PARAMETERS, given, 1))
+    find = line_finder(camera)
     return measured(
         (camera, frame, find(cv2.imread(str(label_picture(frame, labels)))))
         for frame in read_labels(labels)[: tusimple.HALF]
@@ -124,8 +123,8 @@ def stills(labels: Path, **given: Any) -> Measured:
 def last_frames(folder: Path, *, tracked: bool) -> Measured:
     """The last frames of the ten clips, alone or as valid lines after the frames before."""
     camera = tusimple.CAMERA
-    detector = find_detector("aly", {}, Path(), "clips")
-    find = line_finder(camera, detector.parameters)
+    detector = find_detector("aly", {}, "clips")
+    find = line_finder(camera)
 
     def found(images: list[Image]) -> Found:
         return find(images[-1])
@@ -136,7 +135,7 @@ def last_frames(folder: Path, *, tracked: bool) -> Measured:
         shape = lines.shape[lines.is_valid]
         near, far = NEAR_M, FAR_M
         ends = np.full((2, len(shape)), [[near], [far]])
-        return Found(shape, np.ones(len(shape)), *ends)
+        return Found(shape, *ends)
 
     seen = []
     for frame in read_labels(folder / "labels.jsonl"):

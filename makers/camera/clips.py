@@ -107,7 +107,7 @@ def _look(
         stills[beyond] = _still(label_m, last.shape[last.is_valid])
         if beyond == BEYOND[0]:
             kept = followed
-    detector = find_detector("mc" if curve == "clothoid" else "ml", {}, Path(), "clips")
+    detector = find_detector("mc" if curve == "clothoid" else "ml", {}, "clips")
     settings = {**detector.parameters, "curve": curve}
     alone = find_lines(view_for(camera, settings), pictures[-1].image, settings)
     stills["single"] = _still(label_m, alone.shape)
@@ -129,7 +129,7 @@ def columns(folder: Path, name: str) -> dict[str, FloatArray]:
     camera = tusimple.CAMERA
     found = {}
     for frame in read_labels(folder / "labels.jsonl"):
-        step = start(find_detector(name, {}, Path(), "clips"), camera)
+        step = start(find_detector(name, {}, "clips"), camera)
         for picture in read_pictures(open_source(folder / _name(frame)), camera):
             lines = step(picture)
         shape = lines.shape[lines.is_valid]

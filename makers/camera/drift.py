@@ -49,7 +49,7 @@ def stills_of(labels: Path) -> list[Picture]:
 def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) -> Turned:
     """Single-frame lines in the corrected view."""
     camera = tusimple.CAMERA
-    values = {**find_detector(name, {}, Path(), "drift").parameters, "curve": CURVES[name]}
+    values = {**find_detector(name, {}, "drift").parameters, "curve": CURVES[name]}
     values["camera_drift"] = "correct"
     view = view_for(replace(camera, pitch_deg=camera.pitch_deg + away_deg), values)
     look, turned = drift.watch(view, values), turned_up(view)
@@ -70,7 +70,7 @@ def warned_of(shown: Iterable[Picture], camera: Camera, name: str) -> list[str]:
     """The detector's warnings about a camera over some pictures."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        for _ in detect(find_detector(name, {}, Path(), "drift"), camera, shown):
+        for _ in detect(find_detector(name, {}, "drift"), camera, shown):
             pass
     return [str(one.message) for one in caught]
 

@@ -50,10 +50,10 @@ def data_file() -> Path | None:
 def detector(name: str, **given: Any) -> Any:
     """A detector by its name here."""
     if name != "lstr":
-        return find_detector(name, given, Path(), "lstr")
+        return find_detector(name, given, "lstr")
     onnx = data_file()
     assert onnx is not None
-    return find_detector("network", {"network": str(onnx.parent / "lstr"), **given}, Path(), "lstr")
+    return find_detector("network", {"network": str(onnx.parent / "lstr"), **given}, "lstr")
 
 
 def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
@@ -81,7 +81,7 @@ def followed(
     keys |= {"model": str(data_file()), "cut_top": float((horizon - HORIZON) / (1 - HORIZON))}
     with TemporaryDirectory() as folder:
         (Path(folder) / "cut.yaml").write_text(yaml.safe_dump(keys))
-        cut = find_detector("network", {"network": "cut.yaml"}, Path(folder), "cut")
+        cut = find_detector("network", {"network": str(Path(folder) / "cut.yaml")}, "cut")
         return list(detect(cut, camera, pictures))
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from statistics import median
 
 import cv2
@@ -48,7 +47,7 @@ def camera_lines(frames: int = FRAMES) -> list[Line]:
         lines = []
         for name in plugin_names(Detector):
             try:
-                detector = find_detector(name, {}, Path.cwd(), "detector")
+                detector = find_detector(name, {}, "detector")
                 start(detector, CAMERA)
             except InputError:
                 continue

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from egolane_pgm.classic import aly
 from egolane_pgm.classic.aly import Found, line_finder, nearest
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors import FrameLines
@@ -33,8 +32,8 @@ def parallel(
     ]
 
 
-def found_in(image: Image, camera: Camera = CAMERA, **given: Any) -> Found:
-    return line_finder(camera, resolve_parameters(aly.PARAMETERS, given, 1))(image)
+def found_in(image: Image) -> Found:
+    return line_finder(CAMERA)(image)
 
 
 def places(found: Found, x: float) -> np.ndarray:
@@ -68,9 +67,6 @@ def test_three_lines_are_found() -> None:
 def test_there_are_never_more_than_four_lines() -> None:
     many = [Paint(-7.5 + 2.5 * k) for k in range(7)]
     assert len(found_in(road(many, camera=CAMERA)).shape) == 4
-    assert len(found_in(road(many, camera=CAMERA), lines=2).shape) == 2
-    with pytest.raises(InputError, match="lines: 5 must be at most 4"):
-        resolve_parameters(aly.PARAMETERS, {"lines": 5}, 1)
 
 
 def test_the_lines_that_are_kept_are_valid_and_near() -> None:
@@ -86,7 +82,7 @@ def test_the_lines_that_are_kept_are_valid_and_near() -> None:
 
 def test_a_picture_has_the_same_lines_whatever_came_before() -> None:
     pictures = [road(parallel(-1.7), k * 2.0, camera=CAMERA, seed=k) for k in range(3)]
-    find = line_finder(CAMERA, DEFAULTS)
+    find = line_finder(CAMERA)
     forward = [find(image) for image in pictures]
     for image, before in zip(reversed(pictures), reversed(forward), strict=True):
         assert np.array_equal(find(image).shape, before.shape)

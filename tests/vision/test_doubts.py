@@ -48,7 +48,7 @@ def detected(name: str, pictures: Sequence[Picture], **given: object) -> list[st
     camera = PAIR if pictures[0].right is not None else CAMERA
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        list(detect(find_detector(name, given, Path.cwd(), "detector"), camera, pictures))
+        list(detect(find_detector(name, given, "detector"), camera, pictures))
     return [str(each.message) for each in caught]
 
 

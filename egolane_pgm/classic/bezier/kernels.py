@@ -9,6 +9,18 @@ import numpy as np
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
 
+#: Pixels to either side that a spline covers.
+_JITTER = 2
+
+#: Number of steps along a spline.
+_STEPS = 100
+
+#: Weight of a spline's straightness in its score.
+_ANGLE_RATIO = 1.2
+
+#: Weight of a spline's length in its score.
+_LENGTH_RATIO = 1.5
+
 
 @kernel()
 def ransac_line(
@@ -105,22 +117,12 @@ def straightness(control: FloatArray) -> float:
 
 
 @kernel()
-def spline_score(
-    ridge: FloatArray,
-    control: FloatArray,
-    jitter: int,
-    step: float,
-    angle_ratio: float,
-    length_ratio: float,
-) -> float:
-    """The score S (1 + (a (theta - 1) + b (l - 1)) / 2) of a spline: S is the sum of the ridges
-    (R, C) that it covers, theta its straightness, l its length over R (Aly 2008, section II E). A
-    spline longer than the view is as good as one of its length, as it may be no more than a loop.
+def spline_score(ridge: FloatArray, control: FloatArray) -> float:
+    """The score S (1 + (a (theta - 1) + b (l - 1)) / 2) of a spline, control points (4, 2).
 
-    - control: (4, 2)
-    - jitter: pixels to either side that it covers
-    - step: of the parameter
-    - angle_ratio, length_ratio: a, b
+    S is the sum of the ridges (R, C) that it covers, theta its straightness, l its length over R, a
+    and b are _ANGLE_RATIO and _LENGTH_RATIO (Aly 2008, section II E). A spline longer than the view
+    is as good as one of its length, as it may be no more than a loop.
     """
     n_rows, n_columns = ridge.shape
     total = 0.0
@@ -129,9 +131,8 @@ def spline_score(
     before_r = control[0, 1]
     last_c = -1
     last_r = -1
-    n = math.floor(1 / step + 0.5)
-    for i in range(n + 1):
-        c, r = bezier(control, i / n)
+    for i in range(_STEPS + 1):
+        c, r = bezier(control, i / _STEPS)
         length += math.hypot(c - before_c, r - before_r)
         before_c = c
         before_r = r
@@ -141,10 +142,10 @@ def spline_score(
             continue
         last_c = at_c
         last_r = at_r
-        for beside in range(max(at_c - jitter, 0), min(at_c + jitter + 1, n_columns)):
+        for beside in range(max(at_c - _JITTER, 0), min(at_c + _JITTER + 1, n_columns)):
             total += ridge[at_r, beside]
-    less = angle_ratio * (straightness(control) - 1)
-    less += length_ratio * (min(length / n_rows, 1.0) - 1)
+    less = _ANGLE_RATIO * (straightness(control) - 1)
+    less += _LENGTH_RATIO * (min(length / n_rows, 1.0) - 1)
     return float(total * (1 + less / 2))
 
 
@@ -195,10 +196,6 @@ def ransac_spline(
     sample: IntArray,
     least_straight: float,
     ridge: FloatArray,
-    jitter: int,
-    step: float,
-    angle_ratio: float,
-    length_ratio: float,
 ) -> tuple[FloatArray, float]:
     """The best of the splines through samples of points: control points (4, 2), and its score,
     minus infinity if no spline was found.
@@ -206,7 +203,7 @@ def ransac_spline(
     - point: (N, 2), sorted by row
     - sample: (I, S) the points of each sample, ascending
     - least_straight: the least straightness of a spline
-    - ridge, jitter, step, angle_ratio, length_ratio: as in `spline_score`
+    - ridge: (R, C)
     """
     best = -np.inf
     control = np.zeros((4, 2))
@@ -217,7 +214,7 @@ def ransac_spline(
         one = bezier_through(chosen)
         if straightness(one) < least_straight:
             continue
-        score = spline_score(ridge, one, jitter, step, angle_ratio, length_ratio)
+        score = spline_score(ridge, one)
         if score > best:
             best = score
             control[:] = one

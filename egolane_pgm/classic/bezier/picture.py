@@ -40,19 +40,8 @@ _CONTRAST = 0.35
 
 def refined(grey: FloatArray, camera: Camera, point: FloatArray) -> FloatArray:
     """Points (P, 2), columns and rows of a picture (H, W), along one spline from far to near: moved
-    onto the marking, and continued at both ends."""
-    point, contrast = _localized(grey, camera, point)
-    if contrast > 0:
-        least = contrast * _CONTRAST
-        ahead = _extension(grey, camera, point[::-1], least)
-        behind = _extension(grey, camera, point, least)
-        point = np.concatenate([ahead[::-1], point, behind])
-    return point
-
-
-def _localized(grey: FloatArray, camera: Camera, point: FloatArray) -> tuple[FloatArray, float]:
-    """The points, and the usual contrast of the marking. A point moves if it finds a marking and
-    the spline keeps its direction."""
+    onto the marking, and continued at both ends. A point moves if it finds a marking and the spline
+    keeps its direction."""
     along = _unit(np.gradient(point, axis=0))
     place, contrast = _strip(grey, camera, point, along, _BESIDE)
     moved = np.where(np.isfinite(place)[:, None], place_of(point, along, place), point)
@@ -61,8 +50,13 @@ def _localized(grey: FloatArray, camera: Camera, point: FloatArray) -> tuple[Flo
         turned = (new * along).sum(axis=1) < _KEPT
         in_sky = np.isnan(image_to_road(camera, *moved.T)[0])
         moved[turned | in_sky] = point[turned | in_sky]
-    found = np.isfinite(contrast)
-    return moved, float(np.median(contrast[found])) if found.any() else 0.0
+    if not np.isfinite(contrast).any():
+        return moved
+    # The usual contrast of the marking.
+    least = float(np.nanmedian(contrast)) * _CONTRAST
+    ahead = _extension(grey, camera, moved[::-1], least)
+    behind = _extension(grey, camera, moved, least)
+    return np.concatenate([ahead[::-1], moved, behind])
 
 
 def place_of(point: FloatArray, along: FloatArray, place: FloatArray) -> FloatArray:
@@ -112,9 +106,9 @@ def _strip(
 def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float) -> FloatArray:
     """Points (E, 2) that continue points behind their last one, while strips are found that are
     bright enough and turn little."""
-    mean = _unit((point[-1] - point[0])[None])[0]
+    mean = _unit(point[-1] - point[0])
     at = point[-1]
-    along = _unit((point[-1] - point[-2])[None])[0]
+    along = _unit(point[-1] - point[-2])
     found: list[FloatArray] = []
     while len(found) < 100:
         ahead = at + _STEP * along
@@ -125,7 +119,7 @@ def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float
         if not contrast[0] >= least:
             break
         new = place_of(ahead[None], along[None], place)[0]
-        turn = _unit((new - at)[None])[0]
+        turn = _unit(new - at)
         if turn @ along < _TURN or turn @ mean < _TURN_OF_ALL:
             break
         found.append(new)
@@ -135,6 +129,6 @@ def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float
 
 
 def _unit(vector: FloatArray) -> FloatArray:
-    """Vectors (P, 2) of length 1."""
-    size: FloatArray = vector / np.maximum(np.hypot(vector[:, 0], vector[:, 1]), 1e-9)[:, None]
-    return size
+    """Vectors (..., 2) of length 1."""
+    size = np.hypot(vector[..., 0], vector[..., 1])
+    return np.asarray(vector / np.maximum(size, 1e-9)[..., None])

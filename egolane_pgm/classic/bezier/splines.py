@@ -6,14 +6,12 @@ a line; in a box around that, a spline. Points are (column, row) of the view, pi
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 
 import cv2
 import numpy as np
 
 from egolane_pgm.classic.bezier import kernels
-from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
 #: Length of the smoothing of the sums of columns, columns.
@@ -21,6 +19,9 @@ _SCORE_TAPS = 21
 
 #: Standard deviation of that smoothing, columns.
 _SCORE_SIGMA = 2.0
+
+#: Least score of a first line.
+_LEAST_SCORE = 0.1
 
 #: First lines nearer than this are one, columns.
 _GROUP = 30.0
@@ -55,9 +56,6 @@ _LENGTH = 30.0
 #: Largest turn of a spline, radians.
 _TURN = 1.22
 
-#: The last arguments of `kernels.spline_score`: jitter, step, weights of straightness and length.
-_SCORING = (2, 0.01, 1.2, 1.5)
-
 #: Two splines are one if their chords, or the means along them, are nearer than these angles
 #: (radians) and distances (pixels), ...
 _MERGE = ((0.1, 5.0), (0.2, 10.0))
@@ -69,58 +67,42 @@ _MERGE_CENTROID = 15.0
 _OVERLAP = 0.5
 
 
-@dataclass(frozen=True)
-class Splines:
-    """M cubic Bezier splines, best first. control: (M, 4, 2) control points, from far to near;
-    score: (M,)."""
-
-    control: FloatArray
-    score: FloatArray
-
-
-def spline_finder(parameters: Parameters) -> Callable[[FloatArray], Splines]:
-    """Make the function that finds splines in ridges (R, C). Each call takes the same random
-    numbers, drawn here, so that a picture's splines do not depend on the pictures before."""
+def spline_finder() -> Callable[[FloatArray], FloatArray]:
+    """Make the function from ridges (R, C) to cubic Bezier splines, best first: their control
+    points (M, 4, 2), from far to near. Each call takes the same random numbers, drawn here, so that
+    a picture's splines do not depend on the pictures before."""
     rng = np.random.default_rng(0)
     line_draw, spline_draw = (rng.random((_SAMPLES, _POINTS)) for _ in range(2))
 
-    def find(ridge: FloatArray) -> Splines:
+    def find(ridge: FloatArray) -> FloatArray:
         rows, columns = np.nonzero(ridge)
         if not len(rows):
-            return Splines(np.zeros((0, 4, 2)), np.zeros(0))
+            return np.zeros((0, 4, 2))
         point = np.stack([columns, rows], axis=1).astype(np.float64)
         value = ridge[rows, columns]
-        lines = _first_lines(ridge, point, value, parameters)
+        lines = _first_lines(ridge, point, value)
         boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1])
-        lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0])
+        lines = _fitted_lines(_chosen(boxes, point, value, line_draw), ridge.shape[0])
         boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1])
-        return _checked(_fitted_splines(boxes, point, value, spline_draw, ridge))
+        return _checked(*_fitted_splines(_chosen(boxes, point, value, spline_draw), ridge))
 
     return find
 
 
-def _first_lines(
-    ridge: FloatArray, point: FloatArray, value: FloatArray, parameters: Parameters
-) -> FloatArray:
+def _first_lines(ridge: FloatArray, point: FloatArray, value: FloatArray) -> FloatArray:
     """The columns with the most ridges, near ones made one: lines (K, 3) through all rows, their
     columns in the first and in the last row, and score."""
     total = np.bincount(point[:, 0].astype(np.int64), value, ridge.shape[1]).astype(np.float64)
     edge = cv2.BORDER_CONSTANT
     total = cv2.GaussianBlur(total[None], (_SCORE_TAPS, 1), _SCORE_SIGMA, borderType=edge)[0]
-    column, score = column_peaks(total, number(parameters, "detection_threshold"))
-    return _grouped(np.column_stack([column, column, score]))
-
-
-def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
-    """Place and height (K,) of the local maxima of (C,) sums that are at least `least`, each moved
-    to the top of the parabola through it and its neighbours."""
     padded = np.pad(total, 1)
     left = padded[:-2]
-    middle = padded[1:-1]
     right = padded[2:]
-    peak = np.flatnonzero((middle > left) & (middle >= right) & (middle >= max(least, 1e-9)))
-    bend = left[peak] - 2 * middle[peak] + right[peak]
-    return peak + (left[peak] - right[peak]) / (2 * bend), middle[peak]
+    peak = np.flatnonzero((total > left) & (total >= right) & (total >= _LEAST_SCORE))
+    # The top of the parabola through a local maximum and its neighbours.
+    bend = left[peak] - 2 * total[peak] + right[peak]
+    column = peak + (left[peak] - right[peak]) / (2 * bend)
+    return _grouped(np.column_stack([column, column, total[peak]]))
 
 
 def _grouped(lines: FloatArray) -> FloatArray:
@@ -159,36 +141,30 @@ def _boxes(lines: FloatArray, window: float, n_columns: int) -> FloatArray:
     return np.array(boxes).reshape(-1, 2)
 
 
-def _sample(weight: FloatArray, draw: FloatArray) -> IntArray:
-    """Indices of points, drawn with probabilities in proportion to (N,) weights by uniform random
-    numbers; of the numbers' shape."""
-    share = np.cumsum(weight)
-    found: IntArray = np.searchsorted(share, draw * share[-1], side="right").astype(np.int64)
-    return found.clip(max=len(weight) - 1)
+def _chosen(
+    boxes: FloatArray, point: FloatArray, value: FloatArray, draw: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray, IntArray]]:
+    """Yield the points (N, 2) in each box that has enough of them, their values (N,), and samples.
+
+    A sample has indices of points, drawn with probabilities in proportion to their values by
+    uniform random numbers; of the numbers' shape.
+    """
+    for left, right in boxes:
+        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
+        if inside.sum() >= draw.shape[1]:
+            share = np.cumsum(value[inside])
+            sample = np.searchsorted(share, draw * share[-1], side="right")
+            yield point[inside], value[inside], sample.clip(max=len(share) - 1)
 
 
 def _fitted_lines(
-    boxes: FloatArray,
-    point: FloatArray,
-    value: FloatArray,
-    draw: FloatArray,
-    n_rows: int,
+    chosen: Iterable[tuple[FloatArray, FloatArray, IntArray]], n_rows: int
 ) -> FloatArray:
     """The RANSAC line of each box that has one, (K, 3) as in `_first_lines`."""
     most_turn = float(np.tan(np.deg2rad(_MOST_TURN_DEG)))
     found = []
-    for left, right in boxes:
-        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
-        if inside.sum() < draw.shape[1]:
-            continue
-        line, score = kernels.ransac_line(
-            point[inside],
-            value[inside],
-            _sample(value[inside], draw),
-            _LINE_AWAY,
-            _LINE_POINTS,
-            most_turn,
-        )
+    for point, value, sample in chosen:
+        line, score = kernels.ransac_line(point, value, sample, _LINE_AWAY, _LINE_POINTS, most_turn)
         if score >= 0:
             turn = line[2] / line[3]
             ends = line[0] + turn * (np.array([0.0, n_rows - 1]) - line[1])
@@ -197,28 +173,18 @@ def _fitted_lines(
 
 
 def _fitted_splines(
-    boxes: FloatArray,
-    point: FloatArray,
-    value: FloatArray,
-    draw: FloatArray,
-    ridge: FloatArray,
-) -> Splines:
-    """The RANSAC spline of each box that has one."""
-    control = np.zeros((len(boxes), 4, 2))
-    score = np.full(len(boxes), -np.inf)
-    for k, (left, right) in enumerate(boxes):
-        inside = (point[:, 0] >= left) & (point[:, 0] <= right)
-        if inside.sum() < draw.shape[1]:
-            continue
-        control[k], score[k] = kernels.ransac_spline(
-            point[inside],
-            np.sort(_sample(value[inside], draw), axis=1),
-            _STRAIGHT,
-            ridge,
-            *_SCORING,
-        )
-    good = score > 0
-    return Splines(control[good], score[good])
+    chosen: Iterable[tuple[FloatArray, FloatArray, IntArray]], ridge: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The control points (M, 4, 2) and the score (M,) of the RANSAC spline of each box that has
+    one."""
+    controls = []
+    scores = []
+    for point, _, sample in chosen:
+        control, score = kernels.ransac_spline(point, np.sort(sample, axis=1), _STRAIGHT, ridge)
+        if score > 0:
+            controls.append(control)
+            scores.append(score)
+    return np.array(controls).reshape(-1, 4, 2), np.array(scores)
 
 
 def points_on(control: FloatArray) -> FloatArray:
@@ -230,23 +196,16 @@ def points_on(control: FloatArray) -> FloatArray:
     return points
 
 
-def _checked(splines: Splines) -> Splines:
-    """The splines, best first, without those that are short or turned, and without the worse one
-    of two that are nearly the same."""
-    order = np.argsort(-splines.score, kind="stable")
+def _checked(control: FloatArray, score: FloatArray) -> FloatArray:
+    """The splines (M, 4, 2), best first, without those that are short or turned, and without the
+    worse one of two that are nearly the same."""
+    across, along = (control[:, 3] - control[:, 0]).T
+    is_sound = (np.hypot(across, along) >= _LENGTH) & (np.abs(np.arctan2(across, along)) <= _TURN)
     kept: list[int] = []
-    for k in order:
-        if _is_sound(splines.control[k]) and not any(
-            _is_same(splines.control[k], splines.control[other]) for other in kept
-        ):
+    for k in np.argsort(-score, kind="stable"):
+        if is_sound[k] and not any(_is_same(control[k], control[other]) for other in kept):
             kept.append(int(k))
-    return Splines(splines.control[kept], splines.score[kept])
-
-
-def _is_sound(control: FloatArray) -> bool:
-    along = control[3] - control[0]
-    turn = abs(np.arctan2(along[0], along[1]))
-    return bool(np.hypot(*along) >= _LENGTH and turn <= _TURN)
+    return control[kept]
 
 
 def _is_same(one: FloatArray, other: FloatArray) -> bool:
@@ -258,12 +217,8 @@ def _is_same(one: FloatArray, other: FloatArray) -> bool:
         return False
     steps = _poses(points).mean(axis=1)
     chords = _poses(points[:, [0, -1]])[:, 0]
-    return any(
-        turn < most_turn and away < most_away
-        for (most_turn, most_away), (turn, away) in zip(
-            _MERGE, (np.abs(chords[0] - chords[1]), np.abs(steps[0] - steps[1])), strict=True
-        )
-    )
+    away = np.abs([chords[0] - chords[1], steps[0] - steps[1]])
+    return bool((away < _MERGE).all(axis=1).any())
 
 
 def _poses(points: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.special import expit
 
 from egolane_pgm.classic.multilane.markings import Markings, grouped
 from egolane_pgm.classic.multilane.road import Road
@@ -71,10 +72,6 @@ class Links:
     def __len__(self) -> int:
         return len(self.above)
 
-    def take(self, which: IntArray) -> Links:
-        """Some of the links."""
-        return Links(self.above[which], self.below[which], self.apart[which], self.turn[which])
-
 
 def join_seeds(markings: Markings, road: Road, exact_up_to: int) -> Markings:
     """The same markings, with all seeds of one line joined to one.
@@ -86,7 +83,13 @@ def join_seeds(markings: Markings, road: Road, exact_up_to: int) -> Markings:
         links = candidate_links(markings, road)
         markings = merged(markings, links, certain(links, scale))
     links = candidate_links(markings, road)
-    is_on = infer(links, unary(links, scale), power_sums(markings, scale), exact_up_to)
+    probability = unary(links, scale)
+    sums = power_sums(markings, scale)
+    is_on = probability > 0.5
+    for of in groups_of(links, len(sums)):
+        if len(of) > 1:
+            solve = least_energy if len(of) <= exact_up_to else forced_in_turn
+            is_on[of] = solve(links.above[of], links.below[of], probability[of], sums)
     return merged(markings, links, is_on)
 
 
@@ -111,8 +114,7 @@ def unary(links: Links, scale: float) -> FloatArray:
     x = links.apart.sum(axis=1) / scale
     y = links.turn
     exponent = a * x * x + b * x * y + c * y * y + d * x + e * y + f
-    probability: FloatArray = 1 / (1 + np.exp(-exponent))
-    return probability
+    return np.asarray(expit(exponent))
 
 
 def power_sums(markings: Markings, scale: float) -> FloatArray:
@@ -129,39 +131,27 @@ def power_sums(markings: Markings, scale: float) -> FloatArray:
     return sums
 
 
-def infer(links: Links, probability: FloatArray, sums: FloatArray, exact_up_to: int) -> BoolArray:
-    """Return the links, (K,), that are on.
-
-    - probability: (K,) `unary`
-    - sums: (S, 12) `power_sums`
-    """
-    is_on = probability > 0.5
-    for of in groups_of(links, len(sums)):
-        if len(of) > 1:
-            solve = least_energy if len(of) <= exact_up_to else forced_in_turn
-            is_on[of] = solve(links.above[of], links.below[of], probability[of], sums)
-    return is_on
-
-
 def groups_of(links: Links, n_seeds: int) -> list[IntArray]:
     """The groups: which links are in each."""
     if not len(links):
         return []
-    graph = coo_array((np.ones(len(links)), (links.above, links.below)), shape=(n_seeds, n_seeds))
-    group = connected_components(graph, directed=False)[1][links.above]
+    group = _lines_of(links.above, links.below, n_seeds)[links.above]
     order = np.argsort(group, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
 
 
 def merged(markings: Markings, links: Links, is_on: BoolArray) -> Markings:
     """The markings with the seeds of each link that is on joined."""
-    n_seeds = len(markings)
-    ends = links.above[is_on], links.below[is_on]
-    if not len(ends[0]):
+    if not is_on.any():
         return markings
-    graph = coo_array((np.ones(len(ends[0])), ends), shape=(n_seeds, n_seeds))
-    line = connected_components(graph, directed=False)[1].astype(np.int64)
+    line = _lines_of(links.above[is_on], links.below[is_on], len(markings))
     return grouped(markings.row, markings.left, markings.right, line[markings.seed])
+
+
+def _lines_of(above: IntArray, below: IntArray, n_seeds: int) -> IntArray:
+    """The line, (S,), of each seed, if the seeds above and below, (K,) each, belong together."""
+    graph = coo_array((np.ones(len(above)), (above, below)), shape=(n_seeds, n_seeds))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 @kernel()

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.classic.multilane.road import Road, flattened, is_ignored
+from egolane_pgm.classic.multilane.road import Road, flattened
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.vision.camera.model import is_shown
 
 #: Half width of the edge filter, pixels: far away, and how much more at the bottom.
 FILTER = (3.0, 9.0)
@@ -76,12 +77,11 @@ def grouped(row: FloatArray, left: FloatArray, right: FloatArray, group: IntArra
 def find_markings(grey: NDArray[np.uint8], road: Road) -> Markings:
     """The markings of a picture, (H, W), that make seeds."""
     row, left, right = edge_pairs(grey, road.top, road.narrowest, road.widest, road.scale)
-    if road.camera.ignore:
-        is_road = ~is_ignored(road, (left + right) / 2, row)
-        row = row[is_road]
-        left = left[is_road]
-        right = right[is_road]
-    seed = seeds_of(row, left, right, NEAR * road.scale**2, TURN, KEPT)
+    is_road = is_shown(road.camera, (left + right) / 2, row)
+    row = row[is_road]
+    left = left[is_road]
+    right = right[is_road]
+    seed = seeds_of(row, left, right, NEAR * road.scale**2)
     is_long = np.bincount(seed, minlength=1)[seed] >= max(2, round(LEAST * road.row_scale))
     return grouped(row.astype(np.float64), left, right, np.where(is_long, seed, -1))
 
@@ -139,15 +139,11 @@ def edge_pairs(
 
 
 @kernel()
-def seeds_of(
-    row: IntArray, left: FloatArray, right: FloatArray, near: float, turn: float, kept: float
-) -> IntArray:
+def seeds_of(row: IntArray, left: FloatArray, right: FloatArray, near: float) -> IntArray:
     """The seed, (N,), numbered from 0, that each marking belongs to.
 
     - row, left, right: (N,) the markings, top to bottom
     - near: the largest squared distance from a seed's last marking, pixels
-    - turn: how far, radians, the step to a marking may lean away from the seed's direction
-    - kept: the weight of the direction so far when a step is added to it
     """
     n = len(row)
     seed = np.empty(n, dtype=np.int64)
@@ -172,7 +168,7 @@ def seeds_of(
             across = (left[i] + right[i] - left[j] - right[j]) / 2
             square = across * across + down * down
             lean = math.atan2(across, down)
-            if square < least and (count[s] < 2 or abs(lean - direction[s]) < turn):
+            if square < least and (count[s] < 2 or abs(lean - direction[s]) < TURN):
                 best = s
                 least = square
                 leans = lean
@@ -182,7 +178,7 @@ def seeds_of(
         elif count[best] == 1:
             direction[best] = leans
         else:
-            direction[best] = kept * direction[best] + (1.0 - kept) * leans
+            direction[best] = KEPT * direction[best] + (1.0 - KEPT) * leans
         last[best] = i
         count[best] += 1
         seed[i] = best

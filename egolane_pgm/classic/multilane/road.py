@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from egolane_pgm.classic.multilane import curves
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
+from egolane_pgm.vision.detectors import fit_shape
 
 #: Width of the pictures that the constants in pixels are meant for; they are scaled for others.
 WIDTH = 1280
@@ -111,14 +112,6 @@ def flattened(road: Road, v: FloatArray, u: FloatArray) -> tuple[FloatArray, Flo
     return (v - road.middle) / road.half, u
 
 
-def is_ignored(road: Road, u: FloatArray, v: FloatArray) -> BoolArray:
-    """Mark the points, (N,), in rectangles of the picture that never show road."""
-    inside: BoolArray = np.zeros(len(u), dtype=bool)
-    for left, top, right, bottom in road.camera.ignore:
-        inside |= (left <= u) & (u < right) & (top <= v) & (v < bottom)
-    return inside
-
-
 def places_of(road: Road, curve: FloatArray) -> FloatArray:
     """Metres to the right, (L,), at which curves (L, 3) cross the middle row."""
     y: FloatArray = image_to_road(road.camera, curve[:, 0], road.middle, undistorted=True)[1]
@@ -135,7 +128,5 @@ def shapes_of(road: Road, curve: FloatArray) -> FloatArray:
         seen = np.isfinite(x) & (u >= 0) & (u < road.camera.width)
         # Two of a hundred rows: the line is at the picture's edge, and its rest has to do.
         seen = seen if seen.sum() > 10 else np.isfinite(x)
-        degree = 1 if one[2] == 0 else 2
-        design = x[seen, None] ** np.arange(degree + 1) / np.array([1.0, 1.0, 2.0])[: degree + 1]
-        shape[k, : degree + 1] = np.linalg.lstsq(design, y[seen])[0]
+        shape[k] = fit_shape(x[seen], y[seen], 1.0, [np.inf] * (2 if one[2] == 0 else 3))
     return shape

@@ -260,7 +260,8 @@ def _filled(slots: Slots, road: Road, most: int) -> Slots:
             continue
         others = places_of(road, curve)
         is_apart = ~(np.abs(place[:, None] - others) < LEAST_M).any(axis=1)
-        if where in (0, 1):
+        is_own = where in (0, 1)
+        if is_own:
             # Between the lines that are found there may be one that is not.
             gap = place - others[slots.at(1 - where)]
             fits = ~(np.abs(gap) > 1.5 * WIDEST_LANE_M)
@@ -269,7 +270,7 @@ def _filled(slots: Slots, road: Road, most: int) -> Slots:
             fits = np.abs(gap) <= WIDEST_LANE_M
         is_left = place < 0
         chosen = _often_seen(
-            place, frame, fits & is_apart & (is_left == (where <= 0)), prefers_near=where in (0, 1)
+            place, frame, fits & is_apart & (is_left == (where <= 0)), prefers_near=is_own
         )
         if chosen is not None:
             curve[slot] = found[chosen]

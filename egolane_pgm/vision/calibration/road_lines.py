@@ -22,11 +22,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar
 
 from egolane_pgm.tools.progress import bar
@@ -35,16 +36,18 @@ from egolane_pgm.vision.camera.model import (
     LANE_WIDTHS,
     USUAL_HEIGHTS,
     Camera,
+    Points,
     distorted,
     image_to_road,
     is_shown,
     level_rays,
+    pixels_of,
     said_height,
     undistorted,
     with_vanishing_point,
 )
-from egolane_pgm.vision.camera.picture import Image, check_size
-from egolane_pgm.vision.camera.pictures import Source, first_size, spread
+from egolane_pgm.vision.camera.picture import Image, check_size, rectangle
+from egolane_pgm.vision.camera.pictures import Load, Source, first_size, spread
 
 #: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
@@ -153,9 +156,19 @@ def calibrate_road(source: Source, camera: Camera | None = None) -> tuple[Camera
         found = find_in_stills(camera, spread(source, MOST_STILLS))
         view = view_from(camera, found.ahead, found.each, found.fits)
     n_lines = sum(len(lines) for lines in found.lines)
-    comment = describe_view(view, f"{n_lines} lines found in {len(found.lines)} pictures")
+    u, v = view.vanishing_point
+    du, dv = view.spread_px
+    lanes = view.gaps_m[view.is_lane]
+    comment = (
+        f"Road: {n_lines} lines found in {len(found.lines)} pictures.\n"
+        f"  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or"
+        f" take ({du:.1f}, {dv:.1f}) px in {view.n_frames} frames.\n"
+        f"Height: from a lane width of {view.camera.lane_width_m:g} m; {len(lanes)} of"
+        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes\n"
+        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most)."
+    )
     if doubt := doubts_of(view):
-        warnings.warn(f"{source.path}: {doubt}", UserWarning, stacklevel=2)
+        warnings.warn(f"{source.path}: {doubt}", stacklevel=2)
         comment += f"\n{doubt}"
     return view.camera, comment
 
@@ -165,32 +178,26 @@ def to_level(camera: Camera, u: FloatArray, v: FloatArray) -> FloatArray:
     return level_rays(camera, *undistorted(camera, u, v))
 
 
-def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+def from_level(camera: Camera, rays: FloatArray) -> Points:
     """The pixels u, v of rays (..., 2) in the undistorted picture."""
     roll = math.radians(camera.roll_deg)
     a = math.cos(roll) * rays[..., 0] + math.sin(roll) * rays[..., 1]
     b = -math.sin(roll) * rays[..., 0] + math.cos(roll) * rays[..., 1]
-    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+    return pixels_of(camera, a, b)
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
     """Fit a0, the s of each line and c with the horizon at b0. Return them with the loss, which
     grows linearly for outliers."""
-    n_lines = len(lines)
-    blocks = []
-    targets = []
-    for i, points in enumerate(lines):
-        below = points[:, 1] - b0
-        block = np.zeros((len(points), n_lines + 2))
-        block[:, 0] = 1.0
-        block[:, 1 + i] = below
-        block[:, -1] = 1.0 / below
-        blocks.append(block)
-        targets.append(points[:, 0])
-    prior = np.zeros((1, n_lines + 2))
-    prior[0, -1] = _NOISE / _BEND
-    design = np.vstack([*blocks, prior])
-    target = np.append(np.concatenate(targets), 0.0)
+    points = np.concatenate(lines)
+    below = points[:, 1] - b0
+    number = np.repeat(np.arange(len(lines)), list(map(len, lines)))
+    # The last row is the prior on c.
+    design = np.zeros((len(points) + 1, len(lines) + 2))
+    design[:-1, 0] = 1.0
+    design[np.arange(len(points)), 1 + number] = below
+    design[:, -1] = np.append(1.0 / below, _NOISE / _BEND)
+    target = np.append(points[:, 0], 0.0)
     weight = np.ones(len(target))
     for _ in range(4):
         root = np.sqrt(weight)
@@ -269,7 +276,13 @@ def view_from(
             f"{camera.height}; the horizon must be in it"
         )
     turned = replace(with_vanishing_point(camera, u, v), height_m=1.0, lateral_m=0.0)
-    offsets = [_offsets(turned, ahead, fit) for fit in fits]
+    # The offsets (L,) of each frame's lines, in heights of the camera.
+    offsets = [
+        image_to_road(
+            turned, *from_level(turned, _rays(ahead, 0.0, fit.slope, 0.2)), undistorted=True
+        )[1]
+        for fit in fits
+    ]
     gaps = np.concatenate([[], *(np.diff(offset) for offset in offsets)])
     middles = np.concatenate([[], *((offset[1:] + offset[:-1]) / 2 for offset in offsets)])
     low, high = (lane_width_m / height for height in reversed(_HEIGHTS))
@@ -289,12 +302,6 @@ def view_from(
     height_m = lane_width_m / float(gap)
     seen = replace(turned, height_m=height_m, lateral_m=camera.lateral_m)
     return RoadView(seen, len(each), np.array([u, v]), spread, gaps * height_m, lanes)
-
-
-def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
-    """The offsets (L,) of a frame's lines, in heights of the camera."""
-    below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
-    return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
 
 
 def doubts_of(view: RoadView) -> str:
@@ -340,20 +347,6 @@ def doubts_of(view: RoadView) -> str:
             + f" not {one:g} m; the height follows from this width"
         )
     return ""
-
-
-def describe_view(view: RoadView, what: str) -> str:
-    """Describe a view in some lines. what: the lines used."""
-    u, v = view.vanishing_point
-    du, dv = view.spread_px
-    lanes = view.gaps_m[view.is_lane]
-    return (
-        f"Road: {what}.\n  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or"
-        f" take ({du:.1f}, {dv:.1f}) px in {view.n_frames} frames.\n"
-        f"Height: from a lane width of {view.camera.lane_width_m:g} m; {len(lanes)} of"
-        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes\n"
-        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most)."
-    )
 
 
 # --- lines in stills ----------------------------------------------------------------------------
@@ -481,14 +474,10 @@ def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> Float
     q = lines[second, :2]
     s = lines[second, 2:] - lines[second, :2]
     cross = r[:, 0] * s[:, 1] - r[:, 1] * s[:, 0]
-    far = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
-    p = p[far]
-    r = r[far]
-    q = q[far]
-    s = s[far]
-    cross = cross[far]
-    along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
-    return np.asarray(p + along[:, None] * r)
+    is_sharp = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
+    return np.asarray((p + along[:, None] * r)[is_sharp])
 
 
 def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
@@ -556,16 +545,16 @@ def fan(
     v = v.astype(np.float32)
     bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
-    kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
+    kernel = rectangle(1, round(_MARKING / _STEP) | 1)
     # The road between two dark seams is not paint, and the gap in a double line is closed.
-    seam = np.ones((1, round(_SEAM / _STEP) | 1), dtype=np.uint8)
+    seam = rectangle(1, round(_SEAM / _STEP) | 1)
     bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, seam)
     paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)
     shown = cv2.erode(seen, kernel) * inside > 0
     return Fan(np.where(shown, paint, 0.0), shown, below, side)
 
 
-def _rays(point: FloatArray, bend: float, side: FloatArray, below: FloatArray) -> FloatArray:
+def _rays(point: FloatArray, bend: float, side: FloatArray, below: ArrayLike) -> FloatArray:
     side, below = np.broadcast_arrays(side, below)
     return np.stack([point[0] + side * below + bend / below, point[1] + below], axis=-1)
 
@@ -599,18 +588,13 @@ def find_lines(
     - mask: (H, W) pixels that may show road
     - about: (2,) the point a, b where the lines roughly meet
     """
-    best = -1.0
-    point = about
-    bend = 0.0
-    for c in _BENDS:
-        for da in _TURNS:
-            at = about + np.array([da, 0.0])
-            profile = _profile(fan(camera, grey, mask, at, c))
-            sharp = float(np.sum(profile**2)) * (1 - 0.05 * abs(c) / _BENDS[-1])
-            if sharp > best:
-                best = sharp
-                point = at
-                bend = c
+
+    def sharpness(tried: tuple[FloatArray, float]) -> float:
+        profile = _profile(fan(camera, grey, mask, *tried))
+        return float(np.sum(profile**2) * (1 - 0.05 * abs(tried[1]) / _BENDS[-1]))
+
+    turned = [(about + np.array([da, 0.0]), c) for c in _BENDS for da in _TURNS]
+    point, bend = max(turned, key=sharpness)
     found = fan(camera, grey, mask, point, bend)
     lines = []
     for side, below in _streaks(found):
@@ -658,7 +642,7 @@ class FoundLines:
     fits: list[FrameFit]
 
 
-def find_in_stills(camera: Camera, stills: Iterable[tuple[str, Callable[[], Image]]]) -> FoundLines:
+def find_in_stills(camera: Camera, stills: Iterable[tuple[str, Load]]) -> FoundLines:
     """Find the lines in stills that one camera took of a road. Damaged stills are left out.
 
     - stills: the name of each, and a function that reads it; `camera.ignore` are the parts that

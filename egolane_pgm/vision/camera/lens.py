@@ -48,7 +48,12 @@ def read_keys(path: Path) -> tuple[dict[str, Any], bool]:
     start = read_text(path)[:5]
     is_opencv = start.startswith(("%YAML", "<?xml"))
     content = _of_opencv(path) if is_opencv else read_yaml(path, "height_m: 1.3")
-    cameras = [key for key, value in content.items() if _is_kalibr(value)]
+    # The cameras of Kalibr.
+    cameras = [
+        key
+        for key, value in content.items()
+        if isinstance(value, Mapping) and "intrinsics" in value and "resolution" in value
+    ]
     if cameras:
         content = {**content, **content.pop(cameras[0])}
         for other in cameras[1:]:
@@ -91,10 +96,6 @@ def read_keys(path: Path) -> tuple[dict[str, Any], bool]:
         )
     kept["distortion"] = (bends + [0.0] * n)[:n]
     return kept, True
-
-
-def _is_kalibr(value: object) -> bool:
-    return isinstance(value, Mapping) and "intrinsics" in value and "resolution" in value
 
 
 def _numbers(

@@ -25,6 +25,9 @@ from egolane_pgm.types import (
 )
 from egolane_pgm.vision.camera.lens import COEFFICIENTS, read_keys
 
+#: Two coordinates of points, of one shape: u and v in pixels, a and b of rays, x and y in metres.
+Points = tuple[FloatArray, FloatArray]
+
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
 
@@ -118,8 +121,8 @@ class Camera:
         _check_numbers("distortion", self.distortion, COEFFICIENTS[self.lens])
         for box in self.ignore:
             _check_numbers("ignore", box, 4)
-        if any(box[0] >= box[2] or box[1] >= box[3] for box in self.ignore):
-            raise InputError("ignore: needs rectangles left, top, right, bottom, in pixels")
+            if box[0] >= box[2] or box[1] >= box[3]:
+                raise InputError("ignore: needs rectangles left, top, right, bottom, in pixels")
 
     @property
     def is_distorted(self) -> bool:
@@ -176,7 +179,7 @@ def axes(camera: Camera) -> FloatArray:
 
 def road_to_image(
     camera: Camera, x: ArrayLike, y: ArrayLike, *, undistorted: bool = False
-) -> tuple[FloatArray, FloatArray]:
+) -> Points:
     """Pixels u, v of points of the road; NaN for points behind the camera.
 
     - x, y: metres ahead and to the right, of any shapes that broadcast
@@ -189,12 +192,10 @@ def road_to_image(
         ahead = np.where(relative[..., 2] > 1e-9, relative[..., 2], np.nan)
         a = relative[..., 0] / ahead
         b = relative[..., 1] / ahead
-    if not undistorted:
-        a, b = _distort(camera, a, b)
-    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+    return pixels_of(camera, *((a, b) if undistorted else _distort(camera, a, b)))
 
 
-def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> Points:
     """Pixels u, v of points x, y of the road, as `road_to_image`; NaN also for points far outside
     the picture that the distortion formula folds back into it."""
     u, v = road_to_image(camera, x, y)
@@ -210,15 +211,13 @@ def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, F
 
 def image_to_road(
     camera: Camera, u: ArrayLike, v: ArrayLike, *, undistorted: bool = False
-) -> tuple[FloatArray, FloatArray]:
+) -> Points:
     """Points x, y of the road, metres, that pixels show; NaN at the horizon and above.
 
     - u, v: pixels, of any shapes that broadcast
     - undistorted: pixels of the picture without lens distortion
     """
-    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
-    a = (u - camera.cx) / camera.fx
-    b = (v - camera.cy) / camera.fy
+    a, b = rays_of(camera, u, v)
     if not undistorted:
         a, b = _undistort(camera, a, b)
     ray = np.stack([a, b, np.ones_like(a)], axis=-1) @ axes(camera)
@@ -244,8 +243,7 @@ def vanishing_point(camera: Camera) -> tuple[float, float]:
 def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
     """The rays (a, b, 1), a to the right and b down, of pixels u, v of the undistorted picture in
     the camera without roll: a, b, (..., 2)."""
-    a = (np.asarray(u) - camera.cx) / camera.fx
-    b = (np.asarray(v) - camera.cy) / camera.fy
+    a, b = rays_of(camera, u, v)
     roll = math.radians(camera.roll_deg)
     return np.stack(
         [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
@@ -299,21 +297,29 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     )
 
 
-def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def rays_of(camera: Camera, u: ArrayLike, v: ArrayLike) -> Points:
+    """The rays (a, b, 1), a to the right and b down, of pixels u, v of the picture without lens
+    distortion, of any shapes that broadcast: a and b."""
+    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
+    return (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+
+
+def pixels_of(camera: Camera, a: FloatArray, b: FloatArray) -> Points:
+    """The pixels u, v of rays (a, b, 1): the inverse of `rays_of`."""
+    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+
+
+def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> Points:
     """Take pixels u, v of the picture to the picture without lens distortion."""
-    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
-    a, b = _undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+    return pixels_of(camera, *_undistort(camera, *rays_of(camera, u, v)))
 
 
-def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> Points:
     """Take pixels u, v of the picture without lens distortion to the picture."""
-    u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
-    a, b = _distort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-    return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+    return pixels_of(camera, *_distort(camera, *rays_of(camera, u, v)))
 
 
-def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> Points:
     if not camera.is_distorted:
         return a, b
     if camera.lens == "equidistant":
@@ -321,16 +327,11 @@ def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, 
         angle = np.arctan(radius)
         scale = _bent(camera, angle) / np.maximum(radius, _TINY)
         return a * scale, b * scale
-    _, _, p1, p2, *_ = camera.distortion
-    square = a * a + b * b
-    radial = _radial(camera, square)
-    return (
-        a * radial + 2 * p1 * a * b + p2 * (square + 2 * a * a),
-        b * radial + p1 * (square + 2 * b * b) + 2 * p2 * a * b,
-    )
+    radial, shift_a, shift_b = _plumb_bob(camera, a, b)
+    return a * radial + shift_a, b * radial + shift_b
 
 
-def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> Points:
     if not camera.is_distorted:
         return a, b
     if camera.lens == "equidistant":
@@ -340,27 +341,29 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
             angle = angle * radius / np.maximum(_bent(camera, angle), _TINY)
         scale = np.tan(np.clip(angle, 0, _MOST_ANGLE)) / np.maximum(radius, _TINY)
         return a * scale, b * scale
-    _, _, p1, p2, *_ = camera.distortion
     free_a = a
     free_b = b
     for _ in range(_ROUNDS):
-        square = free_a * free_a + free_b * free_b
-        radial = _radial(camera, square)
-        shift_a = 2 * p1 * free_a * free_b + p2 * (square + 2 * free_a * free_a)
-        shift_b = p1 * (square + 2 * free_b * free_b) + 2 * p2 * free_a * free_b
+        radial, shift_a, shift_b = _plumb_bob(camera, free_a, free_b)
         free_a = (a - shift_a) / radial
         free_b = (b - shift_b) / radial
     return free_a, free_b
 
 
-def _radial(camera: Camera, square: FloatArray) -> FloatArray:
-    """The factor of a ray's distance from the axis, by the distance's square."""
-    k1, k2, _, _, k3, *further = camera.distortion
+def _plumb_bob(
+    camera: Camera, a: FloatArray, b: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The factor of a ray's distance from the axis, and the shifts of a and b that follow from the
+    tangential coefficients; also of a rational polynomial."""
+    k1, k2, p1, p2, k3, *further = camera.distortion
+    square = a * a + b * b
     radial = 1 + square * (k1 + square * (k2 + square * k3))
     if further:
         k4, k5, k6 = further
         radial = radial / (1 + square * (k4 + square * (k5 + square * k6)))
-    return radial
+    shift_a = 2 * p1 * a * b + p2 * (square + 2 * a * a)
+    shift_b = p1 * (square + 2 * b * b) + 2 * p2 * a * b
+    return radial, shift_a, shift_b
 
 
 def _bent(camera: Camera, angle: FloatArray) -> FloatArray:

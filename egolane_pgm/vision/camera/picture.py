@@ -4,6 +4,7 @@ check of its size."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,16 @@ class Picture:
     frame_id: int
     image: Image
     right: Image | None = None
+
+
+def as_image(values: NDArray[Any]) -> Image:
+    """Type the result of an OpenCV function on pictures of 8 bits, which its stubs do not know."""
+    return values.astype(np.uint8, copy=False)
+
+
+def rectangle(height: int, width: int) -> Image:
+    """The neighbourhood (height, width) of a morphological filter, pixels."""
+    return np.ones((height, width), dtype=np.uint8)
 
 
 def check_size(image: Image, width: int, height: int) -> None:

@@ -53,10 +53,14 @@ _RATES = (0.5, 500.0)
 #: The frame rate of most videos, Hz.
 _USUAL_RATE = 25
 
-#: Reads the pictures with frame ids from the first number to before the second, one at a time:
-#: frame id, file (for messages) and a function for the image, which raises InputError for a damaged
-#: one.
-Reader = Callable[[int, float], Iterator[tuple[int, str, Callable[[], Image]]]]
+#: Reads a picture; raises InputError for a damaged one.
+Load = Callable[[], Image]
+
+#: Pictures, one at a time: frame id, file (for messages), and the function that reads it.
+Numbered = Iterator[tuple[int, str, Load]]
+
+#: Finds the pictures with frame ids from the first number to before the second.
+Reader = Callable[[int, float], Numbered]
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class Source:
     n_frames: int | None
     frame_rate: float | None = None
     stamps: dict[int, float] = field(default_factory=dict)
-    seek: Callable[[Iterable[int]], Iterator[tuple[str, Callable[[], Image]]]] | None = None
+    seek: Callable[[Iterable[int]], Iterator[tuple[str, Load]]] | None = None
 
 
 def is_pattern(path: str) -> bool:
@@ -103,7 +107,7 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     files = picture_files(path)
     ids = _frame_ids(files)
 
-    def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
+    def read(first: int, stop: float) -> Numbered:
         for frame_id, file in zip(ids, files, strict=True):
             if first <= frame_id < stop:
                 yield frame_id, str(file), partial(read_image, file)
@@ -111,7 +115,7 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     return Source(path, read, len(ids))
 
 
-def spread(source: Source, most: int) -> Iterator[tuple[str, Callable[[], Image]]]:
+def spread(source: Source, most: int) -> Iterator[tuple[str, Load]]:
     """Up to `most` pictures, evenly spread over a drive: the file of each and a function that reads
     it. A video without a number of frames is taken from its beginning."""
     n = source.n_frames or most * _USUAL_RATE
@@ -138,7 +142,6 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     if not USUAL_HEIGHTS[0] <= camera.height_m <= USUAL_HEIGHTS[1]:
         warnings.warn(
             f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; calibrate it again",
-            UserWarning,
             stacklevel=2,
         )
     width, height = first_size(source)
@@ -150,7 +153,6 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
         f"{source.path}: its pictures have {width}x{height} pixels, {camera.name or 'the camera'}"
         f" was calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were"
         " cut instead of resized, calibrate again",
-        UserWarning,
         stacklevel=2,
     )
     return resized
@@ -210,7 +212,6 @@ def images_of(
         warnings.warn(
             f"{source.path}: left out {len(damaged)} of {n_read + len(damaged)} frames whose"
             f" picture cannot be read, first {damaged[0]}",
-            UserWarning,
             stacklevel=2,
         )
 
@@ -228,7 +229,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
     chosen = image_topic(place, topic)
     time_s = np.array([time_s for time_s, _ in messages(place, chosen)])
 
-    def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
+    def read(first: int, stop: float) -> Numbered:
         for at, (_, message) in enumerate(messages(place, chosen)):
             if at >= stop:
                 return
@@ -317,7 +318,7 @@ def _pictures_in_video(path: Path) -> Source:
     known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
     stamps: dict[int, float] = {}
 
-    def read(first: int, stop: float) -> Iterator[tuple[int, str, Callable[[], Image]]]:
+    def read(first: int, stop: float) -> Numbered:
         video = open_video(path)
         at = 0
         # Pictures that could not be decoded, before the next good one and in all.
@@ -345,11 +346,10 @@ def _pictures_in_video(path: Path) -> Source:
                 f"{path}: has {at} of the {count} frames that it should have (cut off, damaged,"
                 " or dropped when it was recorded): after such a place the frame ids are too low,"
                 " and the times are right",
-                UserWarning,
                 stacklevel=2,
             )
 
-    def seek(positions: Iterable[int]) -> Iterator[tuple[str, Callable[[], Image]]]:
+    def seek(positions: Iterable[int]) -> Iterator[tuple[str, Load]]:
         video = open_video(path)
         for at in positions:
             video.set(cv2.CAP_PROP_POS_FRAMES, at)

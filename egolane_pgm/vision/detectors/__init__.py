@@ -30,6 +30,27 @@ def powers(x: FloatArray | float) -> FloatArray:
     return np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=-1)
 
 
+def fit_shape(
+    x: FloatArray, y: FloatArray, sd_m: FloatArray | float, usual: Iterable[float]
+) -> FloatArray:
+    """Find the shape (4,) of the line that is nearest to points by least squares.
+
+    - x, y: (P,) metres ahead and to the right
+    - sd_m: standard deviation of a point, metres, or (P,) of each point
+    - usual: standard deviations of the first values of the shape around 0, infinite for a value
+      that may have any size; the values without one are 0
+    """
+    precision = 1 / np.array([*usual])
+    n = len(precision)
+    rows = np.vstack([powers(x)[:, :n] / np.reshape(sd_m, (-1, 1)), np.diag(precision)])
+    values = np.append(y / sd_m, np.zeros(n))
+    # In units in which the columns are alike.
+    unit = np.maximum(np.abs(rows).max(axis=0), 1e-12)
+    shape = np.zeros(4)
+    shape[:n] = np.linalg.lstsq(rows / unit, values)[0] / unit
+    return shape
+
+
 @dataclass(frozen=True)
 class FrameLines:
     """The L lines of one frame, sorted left to right.
@@ -80,15 +101,12 @@ def as_log(
 
     frame_rate: Hz, for the times (frame id over frame rate).
     """
-    ids = []
-    lines = []
-    for number, found in frames:
-        ids.append(number)
-        lines.append(found)
-    counts = np.array([len(found.lri) for found in lines], dtype=np.int64)
+    pairs = list(frames)
+    lines = [found for _, found in pairs]
     columns = (
         np.concatenate([[], *(getattr(found, name) for found in lines)])
         for name in ("offset_m", "is_valid", "is_continuous", "lri")
     )
-    row = np.repeat(np.arange(len(lines)), counts)
-    return LineLog.from_rows(np.array(ids, np.int64), frame_rate, row, *columns, source=source)
+    ids = np.array([number for number, _ in pairs], np.int64)
+    row = np.repeat(np.arange(len(lines)), [len(found.lri) for found in lines])
+    return LineLog.from_rows(ids, frame_rate, row, *columns, source=source)

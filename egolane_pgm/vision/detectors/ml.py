@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from egolane_pgm.parameters import not_searched
 from egolane_pgm.vision.detectors.simple import finder
 
 STEREO = False
-PARAMETERS = not_searched(finder.MONO)
+PARAMETERS = finder.MONO
 start = partial(finder.start, curve="line")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameter, Parameters, not_searched
+from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import problems_in
 from egolane_pgm.vision.camera.model import LANE_WIDTHS, Camera
 from egolane_pgm.vision.camera.picture import Picture
@@ -29,18 +29,16 @@ _CHECKED = 20
 _UNDER_M = 0.3
 
 STEREO = False
-PARAMETERS = not_searched(
-    (
-        Parameter(
-            "network",
-            "text",
-            "",
-            "YAML file of the network (its ONNX, inputs and outputs), or the name of a ready one"
-            " whose ONNX is in the current folder, such as lstr",
-        ),
-        next(p for p in FINDING if p.name == "curve"),
-        *finder.MONO,
-    )
+PARAMETERS = (
+    Parameter(
+        "network",
+        "text",
+        "",
+        "YAML file of the network (its ONNX, inputs and outputs), or the name of a ready one"
+        " whose ONNX is in the current folder, such as lstr",
+    ),
+    next(p for p in FINDING if p.name == "curve"),
+    *finder.MONO,
 )
 
 
@@ -64,7 +62,6 @@ def start(camera: Camera, parameters: Parameters) -> Step:
                 warnings.warn(
                     f"{path}: doubtful: {doubt} in the first {_CHECKED} pictures; are layout"
                     f" {network.layout}, output, classes and size right? {fits}",
-                    UserWarning,
                     stacklevel=2,
                 )
         return lines

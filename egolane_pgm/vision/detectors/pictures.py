@@ -20,7 +20,6 @@ from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera, read_camera, w
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import (
     ReadyDetector,
-    check_pair,
     detect,
     find_detector,
     start,
@@ -70,8 +69,16 @@ def open_pictures(
             return detector, assumed_camera(*first_size(left)), left, None
         calibrate_drive(left, place)
     camera = read_camera(existing(experiment, "recording.camera"))
-    check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
-    right = pictures_of(experiment, "right") if recording.right is not None else None
+    if detector.is_stereo == (recording.right is None):
+        one = "has one camera; leave the second out"
+        wrong = "needs the pictures of a second camera" if detector.is_stereo else one
+        raise InputError(f"{source}: recording.right: detector {detector.name} {wrong}")
+    if detector.is_stereo and camera.baseline_m is None:
+        raise InputError(
+            f"{detector.where}: {detector.name} needs the distance of the two cameras, baseline_m"
+            " of the camera"
+        )
+    right = pictures_of(experiment, "right") if detector.is_stereo else None
     # To refuse early a camera that does not show the road.
     start(detector, camera)
     return detector, camera, left, right
@@ -90,7 +97,6 @@ def calibrate_drive(source: PictureFiles, file: Path) -> None:
         f"{NOTE}{file}: made from the pictures, for lanes of {camera.lane_width_m:g} m:"
         f" {camera.height_m:.2f} m above the road, pitch {camera.pitch_deg:.2f} degrees; for other"
         " lanes calibrate again (`egolane calibrate`)",
-        UserWarning,
         stacklevel=2,
     )
 
@@ -106,11 +112,10 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
         warnings.warn(
             f"{left.path}: has {left.frame_rate:g} frames per second, recording.frame_rate is"
             f" {rate:g}; times and delays are counted with the latter",
-            UserWarning,
             stacklevel=2,
         )
     for note in lanes_seen(log, experiment):
-        warnings.warn(note, UserWarning, stacklevel=2)
+        warnings.warn(note, stacklevel=2)
     return log, left.frame_rate
 
 
@@ -177,7 +182,6 @@ def detect_pictures(
         warnings.warn(
             f"{NOTE}{left.path}: has no frame rate: {frame_rate:g} pictures per second are assumed"
             " (set recording.frame_rate)",
-            UserWarning,
             stacklevel=2,
         )
     return log, stopped, left
@@ -196,7 +200,7 @@ def detector_of(experiment: Experiment, key: str) -> ReadyDetector:
     where = f"{source}: recording.detector"
     given = experiment.parameters.get(DETECTOR, {})
     given_by = f"{source}: parameters.{DETECTOR}"
-    return find_detector(recording.detector, given, Path(), where, given_by)
+    return find_detector(recording.detector, given, where, given_by)
 
 
 def pictures_of(experiment: Experiment, key: str) -> PictureFiles:

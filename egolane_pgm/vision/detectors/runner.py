@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from egolane_pgm.contracts import Detector, DetectorStep
@@ -33,9 +32,9 @@ class ReadyDetector:
 
 
 def find_detector(
-    name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
+    name: str, given: Mapping[str, Any], where: str, given_by: str | None = None
 ) -> ReadyDetector:
-    """Find a detector by its name, or in a file relative to `base`, and check its parameters.
+    """Find a detector by its name, or in a file, and check its parameters.
 
     - given: values of parameters; the others keep their defaults
     - where: beginning of messages about the name
@@ -43,27 +42,13 @@ def find_detector(
 
     Raises InputError for an unknown detector or parameter and for a wrong value.
     """
-    own = str(base / name) if name.endswith(".py") else name
-    plugin = load_plugin(Detector, own, where)
+    plugin = load_plugin(Detector, name, where)
     values = resolve_parameters(plugin.parameters, given, 1, given_by or f"{where}: parameters")
     for key, value in values.items():
-        # A user's file (a program, a network), relative to `base` as well.
+        # A user's file (a program, a network).
         if isinstance(value, str) and value.endswith((".py", ".yaml", ".yml")):
-            values[key] = os.path.realpath(base / value)
+            values[key] = os.path.realpath(value)
     return ReadyDetector(name, plugin, values, where)
-
-
-def check_pair(detector: ReadyDetector, camera: Camera, has_right: bool, where: str) -> None:
-    """Raise InputError if a stereo detector has no second camera, or a mono detector has one."""
-    if detector.is_stereo and not has_right:
-        raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
-    if has_right and not detector.is_stereo:
-        raise InputError(f"{where}: detector {detector.name} has one camera; leave the second out")
-    if detector.is_stereo and camera.baseline_m is None:
-        raise InputError(
-            f"{detector.where}: {detector.name} needs the distance of the two cameras, baseline_m"
-            " of the camera"
-        )
 
 
 def start(detector: ReadyDetector, camera: Camera) -> DetectorStep:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from egolane_pgm.parameters import not_searched
 from egolane_pgm.vision.detectors.simple import finder, stereo
 
 STEREO = True
-PARAMETERS = not_searched(finder.PARAMETERS + stereo.PARAMETERS)
+PARAMETERS = finder.PARAMETERS + stereo.PARAMETERS
 start = partial(finder.start, curve="line", on_road=stereo.on_road)

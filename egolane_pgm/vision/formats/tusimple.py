@@ -38,6 +38,7 @@ from egolane_pgm.recordings import known_formats
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, clip_slices
 from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
+from egolane_pgm.vision.detectors import fit_shape
 from egolane_pgm.vision.detectors.simple.tracking import closest
 
 #: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.
@@ -201,7 +202,10 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
         else:
             clip = str(folder)
             name = picture.stem
-        number = frame_number(name, where)
+        digits = re.findall(r"\d+", name)
+        if not digits or len(digits[-1]) > _ID_DIGITS:
+            raise InputError(f"{where}: '{name}' has no frame number in it")
+        number = int(digits[-1])
         members = clips.setdefault(clip, {})
         if number in members:
             raise InputError(
@@ -209,14 +213,6 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
             )
         members[number] = (where, entry_lines(entry, where))
     return {clip: dict(sorted(members.items())) for clip, members in clips.items()}
-
-
-def frame_number(name: str, where: str) -> int:
-    """Return the last number in a name. Raises InputError if it has none."""
-    digits = re.findall(r"\d+", name)
-    if not digits or len(digits[-1]) > _ID_DIGITS:
-        raise InputError(f"{where}: '{name}' has no frame number in it")
-    return int(digits[-1])
 
 
 def _log(
@@ -270,7 +266,7 @@ def _log(
             " (is recording.frame_rate right?)"
         )
     if doubt:
-        warnings.warn(f"{source}: {doubt}", UserWarning, stacklevel=3)
+        warnings.warn(f"{source}: {doubt}", stacklevel=3)
     log = LineLog.from_rows(
         ids,
         frame_rate,
@@ -297,11 +293,7 @@ def offset_of(line: ImageLine, camera: Camera) -> float:
     y = y[near]
     if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
         return float("nan")
-    prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
-    weight = camera.fx / (POINT_PX * x)
-    rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
-    values = np.concatenate([y * weight, np.zeros(len(prior))])
-    return float(np.linalg.lstsq(np.concatenate([rows, prior]), values, rcond=None)[0][0])
+    return float(fit_shape(x, y, POINT_PX * x / camera.fx, (np.inf, HEADING, CURVATURE))[0])
 
 
 def persistence(
@@ -319,10 +311,10 @@ def persistence(
     valid = []
     for t, offset in enumerate(offsets):
         gap = float(time_s[t] - time_s[t - 1]) if t else 0.0
-        if gap > LONGEST_GAP_S + 1e-9:
-            place = place[:0]
-            flag = flag[:0]
-            seen = seen[:0]
+        is_followed = seen.any(axis=1) & (gap <= LONGEST_GAP_S + 1e-9)
+        place = place[is_followed]
+        flag = flag[is_followed]
+        seen = seen[is_followed]
         away = np.abs(np.subtract.outer(offset, place))
         track = closest(np.where(away <= GATE_M + GATE_M_PER_S * gap, away, np.inf))
         is_new = track < 0
@@ -336,7 +328,4 @@ def persistence(
         flag = np.append(flag, is_new[is_new]) & (count >= RELEASE_LRI) | (count == LRI_FRAMES)
         lri.append(count[track].astype(np.float64))
         valid.append(flag[track])
-        place = place[count > 0]
-        flag = flag[count > 0]
-        seen = seen[count > 0]
     return lri, valid

@@ -92,7 +92,10 @@ def groups(count: int, seed: int) -> list[tuple[Links, FloatArray, FloatArray, M
         probability, sums = crf.unary(links, 1.0), crf.power_sums(seeds, 1.0)
         for which in crf.groups_of(links, len(seeds)):
             if 2 <= len(which) <= MOST_LINKS:
-                found.append((links.take(which), probability[which], sums, seeds))
+                some = Links(
+                    links.above[which], links.below[which], links.apart[which], links.turn[which]
+                )
+                found.append((some, probability[which], sums, seeds))
     return found[:count]
 
 

@@ -99,7 +99,7 @@ def test_seeds_equal_plain_python(seed: int) -> None:
     row = np.sort(rng.integers(0, 40, 120))
     left = rng.integers(0, 60, 120) / 2
     right = left + rng.integers(4, 16, 120) / 2
-    found = seeds_of(row, left, right, 90.0, 0.8, 0.8)
+    found = seeds_of(row, left, right, 90.0)
     assert found.tolist() == seeds_by_python(row, left, right, 90.0, 0.8, 0.8)
     assert found.max() < 110
 

@@ -96,7 +96,7 @@ def test_a_lane_change_turns_the_ring_by_one_and_lines_keep_their_slots(side: in
         slots = after
         now = {}
         for slot, offset in offsets(slots).items():
-            if slots.counter[slot] > DEFAULTS["shown_above"]:
+            if slots.counter[slot] > mld.SHOWN_ABOVE:
                 now[slot] = round((offset + moved) / LANE_M - 0.5)
                 assert offset + moved == pytest.approx(LANE_M * (now[slot] + 0.5), abs=0.2)
         # A slot that has become free may have taken a new line, which is not shown at once.

@@ -32,7 +32,7 @@ def load(name: str) -> ReadyDetector:
     given = {}
     if name == "network":
         given["network"] = str(top_hat_file(CAMERA.width, CAMERA.height))
-    return find_detector(name, given, Path.cwd(), "detector")
+    return find_detector(name, given, "detector")
 
 
 def begin(name: str) -> Step:

@@ -10,7 +10,7 @@ from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Image, Picture
-from egolane_pgm.vision.detectors import powers
+from egolane_pgm.vision.detectors import fit_shape, powers
 from egolane_pgm.vision.detectors.networks.description import Network
 from egolane_pgm.vision.detectors.networks.layouts import Line, answer
 from egolane_pgm.vision.detectors.networks.running import fit_of, load
@@ -34,8 +34,8 @@ _STEP_M = 1.0
 #: Distance ahead at which lines are compared, metres.
 _COMPARED_M = 10.0
 
-#: Prior precision of offset, heading (m/m), curvature (1/m) and its rate (1/m^2) around 0.
-_USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
+#: Standard deviations of offset, heading (m/m), curvature (1/m) and its rate (1/m^2) around 0.
+_USUAL = (np.inf, 0.05, 0.001, 4e-5)
 
 #: Standard deviation of a position next to the car, metres.
 _NEAR_SD_M = 0.05
@@ -99,9 +99,5 @@ def _shape(view: BirdsEye, line: Line, n: int) -> FloatArray | None:
     inside &= view.valid[row, np.where(inside, column, 0)]
     if inside.sum() * _STEP_M < _LEAST_M:
         return None
-    weight = (_NEAR_SD_M + _SD_PER_M * at[inside]) ** -2
-    design = powers(at[inside])[:, :n]
-    normal = design.T @ (design * weight[:, None]) + np.diag(_USUAL[:n])
-    shape = np.zeros(4)
-    shape[:n] = np.linalg.solve(normal, design.T @ (weight * offset[inside]))
-    return shape
+    sd_m = _NEAR_SD_M + _SD_PER_M * at[inside]
+    return fit_shape(at[inside], offset[inside], sd_m, _USUAL[:n])

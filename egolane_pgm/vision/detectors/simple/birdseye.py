@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, is_shown, road_seen
-from egolane_pgm.vision.camera.picture import Image, check_size
+from egolane_pgm.vision.camera.picture import Image, as_image, check_size, rectangle
 
 #: The smallest share of a view that must be in the picture.
 _LEAST_SHARE = 0.1
@@ -117,5 +117,21 @@ def look(view: BirdsEye, image: Image) -> Image:
     Raises InputError for a picture of another size than the calibration.
     """
     check_size(image, view.camera.width, view.camera.height)
-    above = cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    return above.astype(np.uint8, copy=False)
+    return as_image(
+        cv2.remap(image, *view.map_uv, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    )
+
+
+def lit_and_seen(view: BirdsEye, above: Image, patch: int, across: int) -> tuple[Image, Image]:
+    """Mark pixels of a one-colour view (R, C) with 1, else 0: outside black parts of the picture (a
+    covered lens, a blanked half), and with road in the view on both sides, (R, C) each.
+
+    - patch: side of the largest dark spot that is not a black part, pixels
+    - across: width of the strip that must be in the view, pixels
+    """
+    spot = rectangle(patch, patch)
+    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, spot)
+    lit[~view.valid] = 0
+    strip = rectangle(1, across)
+    seen = cv2.erode(lit, strip, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return as_image(lit), as_image(seen)

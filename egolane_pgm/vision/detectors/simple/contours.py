@@ -60,10 +60,23 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
     contour = labels[row, left].astype(np.int64) - 1
     pixels = right - left + 1
     width = total * (view.across_m * pixels.sum() / max(total.sum(), 1))
-    area = np.bincount(contour, pixels, count) * (view.across_m * view.along_m)
     x = view.x_m[row]
     y: FloatArray = view.y_m[0] + 0.5 * (left + right) * view.across_m
-    middle, slope, slope_sd = _directions(view, x, y, width, contour, count)
+
+    def total_of(values: FloatArray) -> FloatArray:
+        return np.bincount(contour, values, count).astype(np.float64)
+
+    area = total_of(pixels) * (view.across_m * view.along_m)
+    # A line through the middles of each contour's runs, weighted by their width.
+    weight = total_of(width)
+    middle = total_of(width * x) / weight
+    away_x = x - middle[contour]
+    away_y = y - (total_of(width * y) / weight)[contour]
+    # A run is one pixel long and has a width; both add to the spread (a uniform's variance).
+    along = total_of(width * away_x * away_x) / weight + view.along_m**2 / 12
+    across = total_of(width * (away_y * away_y + width * width / 12)) / weight
+    slope = total_of(width * away_x * away_y) / weight / along
+    slope_sd = np.sqrt(np.maximum(across - slope * slope * along, 0.0) / along)
     keep = (area >= _LEAST_AREA_M2) & (np.abs(slope) <= _MOST_SLOPE)
     renumbered = np.cumsum(keep) - 1
     kept = keep[contour]
@@ -77,24 +90,3 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
         slope[keep],
         slope_sd[keep],
     )
-
-
-def _directions(
-    view: BirdsEye, x: FloatArray, y: FloatArray, width: FloatArray, contour: IntArray, count: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit a line through the middles of each contour's runs, weighted by their width; return its
-    middle (metres ahead), slope and the slope's standard deviation, (count,) each."""
-
-    def total(values: FloatArray) -> FloatArray:
-        return np.bincount(contour, values, count).astype(np.float64)
-
-    weight = total(width)
-    middle = total(width * x) / weight
-    x = x - middle[contour]
-    y = y - (total(width * y) / weight)[contour]
-    # A run is one pixel long and has a width; both add to the spread (a uniform's variance).
-    along = total(width * x * x) / weight + view.along_m**2 / 12
-    across = total(width * (y * y + width * width / 12)) / weight
-    slope = total(width * x * y) / weight / along
-    spread = np.maximum(across - slope * slope * along, 0.0)
-    return middle, slope, np.sqrt(spread / along)

@@ -173,7 +173,6 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
                 f" show a pitch of {camera.pitch_deg + drift.pitch_deg:.2f} degrees (standard"
                 f" deviation {drift.pitch_sd_deg:.2f}), but it was calibrated with pitch_deg"
                 f" {camera.pitch_deg:.2f}; the pitch is corrected from here on",
-                UserWarning,
                 stacklevel=2,
             )
         return drift

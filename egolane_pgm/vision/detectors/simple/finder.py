@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, not_searched
 from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import LANE_WIDTHS, Camera
 from egolane_pgm.vision.camera.picture import Picture
@@ -36,7 +36,7 @@ from egolane_pgm.vision.detectors.simple.tracking import (
 )
 
 #: The parameters of all variants, each of which sets `curve`, and of those with one camera.
-PARAMETERS = (*(p for p in FINDING if p.name != "curve"), *_PAINT, *TRACKING)
+PARAMETERS = not_searched((*(p for p in FINDING if p.name != "curve"), *_PAINT, *TRACKING))
 MONO = (*PARAMETERS, *drift.PARAMETERS)
 
 #: The number of frames with a line a lane beyond the edge of the road for a warning.
@@ -69,7 +69,6 @@ def start(camera: Camera, parameters: Parameters, **given: Any) -> Step:
                 " lane beyond the continuous one that is taken for the edge of the road; if a lane"
                 " lies between (another lane, or the other direction of a two-way road), set"
                 " beyond_edge to keep",
-                UserWarning,
                 stacklevel=2,
             )
         return lines
@@ -109,7 +108,10 @@ def follower(
         if watch is not None:
             before = corrected_deg
             corrected_deg = watch(picture).correction_deg
-            tracks = _turned(tracks, corrected_deg - before, camera)
+            # Lines to either side of the car turn outwards (the squeeze of `fit`).
+            mean = tracks.mean.copy()
+            mean[:, 1] += math.radians(corrected_deg - before) / camera.height_m * mean[:, 0]
+            tracks = replace(tracks, mean=mean)
             seen = turned(corrected_deg)
         prior = expected(tracks)
         prior_shape = prior if len(prior) else None
@@ -124,13 +126,3 @@ def follower(
         return advance(tracks, rule, found.shape, painted, found.likely)
 
     return follow, rule
-
-
-def _turned(tracks: Tracks, more_deg: float, camera: Camera) -> Tracks:
-    """Return the tracks for a camera that is pitched up by `more_deg`: lines to either side of the
-    car turn outwards (the squeeze of `fit`)."""
-    if not more_deg:
-        return tracks
-    mean = tracks.mean.copy()
-    mean[:, 1] += math.radians(more_deg) / camera.height_m * mean[:, 0]
-    return replace(tracks, mean=mean)

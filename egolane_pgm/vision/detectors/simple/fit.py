@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera
-from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.camera.picture import Image, as_image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.vision.detectors.simple.kernels import common_scores
@@ -178,7 +178,7 @@ def find_lines(
             # Bends and distant markings drown first.
             near = view.x_m <= _STRAIGHT_TO_M
             view = replace(view, valid=view.valid & near[:, None])
-            image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
+            image = as_image(cv2.GaussianBlur(image, _NOISY_BLUR, 0))
             parameters = {**parameters, **_NOISY, "curve": "line"}
             smooth_m = _NOISY_SMOOTH_M
         elif cover > RAIN:
@@ -187,7 +187,7 @@ def find_lines(
         above = from_above(view, image)
         if cover > NOISE:
             rows = max(round(_NOISY_ALONG_M / view.along_m), 1)
-            above = cv2.blur(above, (1, rows)).astype(np.uint8, copy=False)
+            above = as_image(cv2.blur(above, (1, rows)))
         if not is_daylight(view.camera, image):
             parameters = {**parameters, "shadow_share": 0.0}
         view = replace(view, valid=view.valid & free_road(view, above, parameters))
@@ -197,35 +197,27 @@ def find_lines(
     strips = find_strips(view, mask)
     if is_given:
         strips = replace(strips, width_m=np.full_like(strips.width_m, _STRIPE_M))
-    return fit_lines(view, strips, parameters, prior_shape)
-
-
-def from_above(view: BirdsEye, image: Image) -> Image:
-    """Return the red channel of a picture, (H, W, 3) or grey (H, W), from above, (R, C).
-
-    In red, yellow paint is as bright as white paint and brighter than concrete.
-    """
-    above = look(view, image)
-    # The view has fewer pixels than the picture, so the channel is taken last.
-    red = above if above.ndim == 2 else cv2.extractChannel(above, 2)
-    return red.astype(np.uint8, copy=False)
-
-
-def fit_lines(
-    view: BirdsEye, strips: Strips, parameters: Parameters, prior_shape: FloatArray | None = None
-) -> Found:
-    """Find the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
     if len(strips.row) == 0:
         return Found(np.zeros((0, 4)), np.zeros(0))
     prior = _prior(prior_shape)
     n_values = CURVES[str(parameters["curve"])]
     has = np.array([True, n_values > 2, True, n_values > 3])
-    common = _find_common(view, strips, has, number(parameters, "side_m"), prior)
-    centre, score = _scores(view, strips, common, number(parameters, "side_m"))
+    side_m = number(parameters, "side_m")
+    common = _find_common(view, strips, has, side_m, prior)
+    centre, score = _scores(view, strips, common, side_m)
     peaks = _peaks(centre, score, number(parameters, "least_score"))
     common, found = _refine(strips, common, centre[peaks], has, prior)
     order = np.argsort(found, kind="stable")
     return Found(_shapes(common, found[order]), score[peaks][order])
+
+
+def from_above(view: BirdsEye, image: Image) -> Image:
+    """Return the red channel of a picture, (H, W, 3), from above, (R, C).
+
+    In red, yellow paint is as bright as white paint and brighter than concrete.
+    """
+    # The view has fewer pixels than the picture, so the channel is taken last.
+    return as_image(cv2.extractChannel(look(view, image), 2))
 
 
 def _shapes(common: FloatArray, offset: FloatArray) -> FloatArray:
@@ -269,8 +261,16 @@ def _find_common(
     """Search for the shared values (4,) on a coarse grid, then on a fine one around its best point.
     The rate is the predicted one."""
     rate = float(prior[0][3]) if has[3] else 0.0
-    x, y, area, contour = _pieces(view, strips)
-    y = y - rate * x**3 / 6
+    # Short pieces of the contours along the road.
+    rows = max(round(_PIECE_M / view.along_m), 1)
+    per_contour = len(view.x_m) // rows + 1
+    key = strips.contour * per_contour + strips.row // rows
+    width = np.bincount(key, strips.width_m)
+    piece = np.flatnonzero(width)
+    width = width[piece]
+    x = np.bincount(key, strips.width_m * strips.x_m)[piece] / width
+    y = np.bincount(key, strips.width_m * strips.y_m)[piece] / width - rate * x**3 / 6
+    contour = piece // per_contour
     tolerance = np.hypot(_SLOPE_SD, strips.slope_sd)[contour]
     middle = strips.middle_m[contour]
     slope = strips.slope[contour] - rate * middle**2 / 2
@@ -278,7 +278,9 @@ def _find_common(
     def best(grid: list[FloatArray], bin_m: float) -> FloatArray:
         if not has[1]:
             grid[1] = np.zeros(1)
-        scores = common_scores(x, y, area, middle, slope, tolerance, *grid, side_m, bin_m)
+        scores = common_scores(
+            x, y, width * view.along_m, middle, slope, tolerance, *grid, side_m, bin_m
+        )
         away = np.meshgrid(
             # `strict=False`: the rate is not searched for.
             *((values - c) / s for values, c, s in zip(grid, *prior, strict=False)),
@@ -295,18 +297,6 @@ def _find_common(
     step = 2 * _MOST / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
     around = [at + s * np.linspace(-1, 1, n) for at, s, n in zip(first, step, _FINE, strict=True)]
     return np.append(best(around, _FINE_BIN_M), rate)
-
-
-def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Cut the contours into short pieces along the road; return x, y, area and contour of each."""
-    rows = max(round(_PIECE_M / view.along_m), 1)
-    per_contour = len(view.x_m) // rows + 1
-    key = strips.contour * per_contour + strips.row // rows
-    width: FloatArray = np.bincount(key, strips.width_m).astype(np.float64)
-    piece: IntArray = np.flatnonzero(width).astype(np.int64)
-    x: FloatArray = np.bincount(key, strips.width_m * strips.x_m)[piece] / width[piece]
-    y: FloatArray = np.bincount(key, strips.width_m * strips.y_m)[piece] / width[piece]
-    return x, y, width[piece] * view.along_m, piece // per_contour
 
 
 def _along(strips: Strips, common: FloatArray) -> tuple[FloatArray, FloatArray]:

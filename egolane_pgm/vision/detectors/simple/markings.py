@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameters, number
-from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.vision.camera.picture import Image, as_image, rectangle
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, lit_and_seen
 
 #: Length over which contrast is averaged, metres.
 SMOOTH_ALONG_M = 0.7
@@ -58,10 +58,14 @@ def marking_mask(
     """Return the weight of each pixel (R, C) of a one-colour view (R, C) as marking: a third of 255
     at the threshold, 255 well above it, and 0 below."""
     wide = _odd(number(parameters, "marking_width_m") / view.across_m)
-    seen = _seen(view, above, wide)
+    # One pixel more than the strip, because pixels at the edge are half dark.
+    _, seen = lit_and_seen(view, above, wide, 2 * wide + 1)
     count = _blur(seen, view)
     np.maximum(count, np.float32(1e-3), out=count)
-    share = _contrast(view, above, wide, smooth_along_m)
+    strip = rectangle(1, wide)
+    long = _odd(smooth_along_m / view.along_m)
+    bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip)
+    share = cv2.boxFilter(bright, cv2.CV_32F, (1, long)).astype(np.float32, copy=False)
     local = _blur(above, view) / count
     share /= local + np.float32(_BRIGHTNESS_FLOOR + 1e-3)
     share *= seen
@@ -75,29 +79,7 @@ def marking_mask(
     full = 255
     strength = cv2.convertScaleAbs(share, alpha=full / _IN_FULL)
     strength = cv2.threshold(strength, full // _IN_FULL, 0, cv2.THRESH_TOZERO)[1]
-    return strength.astype(np.uint8, copy=False)
-
-
-def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
-    """Return 1 for pixels (R, C) with road in the view on both sides, else 0: at the edges of the
-    picture and of its black parts (a covered lens, a blanked half)."""
-    patch = np.ones((wide, wide), dtype=np.uint8)
-    lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, patch)
-    lit[~view.valid] = 0
-    # One pixel more than the strip, because pixels at the edge are half dark.
-    across = np.ones((1, 2 * wide + 1), dtype=np.uint8)
-    seen = cv2.erode(lit, across, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return seen.astype(np.uint8, copy=False)
-
-
-def _contrast(
-    view: BirdsEye, above: Image, wide: int, smooth_along_m: float
-) -> NDArray[np.float32]:
-    """Return the contrast (R, C), grey levels, of strips narrower than `wide` pixels."""
-    strip = np.ones((1, wide), dtype=np.uint8)
-    bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip)
-    long = _odd(smooth_along_m / view.along_m)
-    return cv2.boxFilter(bright, cv2.CV_32F, (1, long)).astype(np.float32, copy=False)
+    return as_image(strength)
 
 
 def _blur(values: NDArray[Any], view: BirdsEye) -> NDArray[np.float32]:
@@ -136,14 +118,13 @@ NOISE = 0.1
 
 
 def streak_cover(image: Image) -> float:
-    """Return the share of a picture, (H, W, 3) or (H, W), that thin bright strips cover in at least
+    """Return the share of a picture, (H, W, 3), that thin bright strips cover in at least
     three of four parts of its lower half; 0 in a picture too small for streaks."""
     rows = image[image.shape[0] // 2 :: _ROW_STEP]
     if not _width(image) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
         return 0.0
     # OpenCV copies a channel faster than NumPy does.
-    rows = np.ascontiguousarray(rows)
-    rows = rows if rows.ndim == 2 else cv2.extractChannel(rows, 2).astype(np.uint8, copy=False)
+    rows = as_image(cv2.extractChannel(np.ascontiguousarray(rows), 2))
     thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image))
     least = cv2.addWeighted(rows, _BRIGHTER, rows, 0.0, _NOISE)
     is_streak = cv2.compare(thin, least, cv2.CMP_GT)
@@ -154,8 +135,7 @@ def streak_cover(image: Image) -> float:
 
 def without_streaks(image: Image) -> Image:
     """Remove the strips of a picture that are as thin as streaks."""
-    opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image))
-    return opened.astype(np.uint8, copy=False)
+    return as_image(cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image)))
 
 
 def _width(image: Image) -> int:
@@ -164,4 +144,4 @@ def _width(image: Image) -> int:
 
 
 def _strip(image: Image) -> Image:
-    return np.ones((1, _width(image) + 1), dtype=np.uint8)
+    return rectangle(1, _width(image) + 1)

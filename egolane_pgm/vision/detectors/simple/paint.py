@@ -12,7 +12,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
-from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.camera.picture import Image, rectangle
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
 PARAMETERS = (
@@ -67,7 +67,7 @@ def painted_share(
     """
     width_m = number(parameters, "paint_width_m")
     aside = round((_REACH_M + width_m) / view.across_m) + 1
-    strip = np.ones((1, 2 * max(round(width_m / view.across_m / 2), 1) + 1), dtype=np.uint8)
+    strip = rectangle(1, 2 * max(round(width_m / view.across_m / 2), 1) + 1)
     away_m = np.arange(aside + 1) * view.across_m
     near = int((away_m <= _REACH_M + 1e-9).sum()) - 1
     far = min(int((away_m <= _REACH_M + view.across_m).sum()), aside)

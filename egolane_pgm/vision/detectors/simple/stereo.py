@@ -26,7 +26,7 @@ import numpy as np
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, problems_in
 from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, is_shown, road_to_image
-from egolane_pgm.vision.camera.picture import Image, Picture, check_size
+from egolane_pgm.vision.camera.picture import Image, Picture, as_image, check_size, rectangle
 from egolane_pgm.vision.detectors.simple.birdseye import VIEWS, BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
 
@@ -196,7 +196,6 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
             if unsure[text] == _UNSURE_AFTER:
                 warnings.warn(
                     f"frame {picture.frame_id}: in {_UNSURE_AFTER} frames in a row {text}",
-                    UserWarning,
                     stacklevel=2,
                 )
         away = 0.0 if plane is None else float(pose(camera, plane)[1]) - camera.pitch_deg
@@ -213,7 +212,16 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     """
     matcher = str(parameters["matcher"])
     rows = int(number(parameters, "match_rows")) or _MATCH_ROWS[matcher]
-    top, bottom = _rows(camera, parameters)
+    # The rows that may show the searched region of the road at the largest allowed pitch; without
+    # that pitch they are multiples of 4.
+    y = np.linspace(-1, 1, 9) * number(parameters, "side_m")
+    _, above = road_to_image(camera, number(parameters, "x_max_m"), y)
+    _, below = road_to_image(camera, number(parameters, "x_min_m"), y)
+    slack = math.tan(math.radians(_MOST_PITCH_DEG)) * camera.fy
+    first_row = 4 * np.ceil(np.nanmin(above).clip(0) / 4) - slack
+    last_row = 4 * np.floor(np.nanmax(below).clip(max=camera.height - 1) / 4) + 4 + slack
+    top = max(int(first_row), 0)
+    bottom = min(int(last_row), camera.height)
     height = (bottom - top) // rows
     width = camera.width // _SCALE
     least = _LEAST_ROWS[matcher]
@@ -291,18 +299,6 @@ def _elas() -> Match:
     return match
 
 
-def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
-    """Return the first row that may show the searched region of the road at the largest allowed
-    pitch, and one more than the last row; without that pitch they are multiples of 4."""
-    y = np.linspace(-1, 1, 9) * number(parameters, "side_m")
-    _, above = road_to_image(camera, number(parameters, "x_max_m"), y)
-    _, below = road_to_image(camera, number(parameters, "x_min_m"), y)
-    slack = math.tan(math.radians(_MOST_PITCH_DEG)) * camera.fy
-    top = 4 * np.ceil(np.nanmin(above).clip(0) / 4) - slack
-    bottom = 4 * np.floor(np.nanmax(below).clip(max=camera.height - 1) / 4) + 4 + slack
-    return max(int(top), 0), min(int(bottom), camera.height)
-
-
 def disparities(pair: Pair, picture: Picture) -> FloatArray:
     """Return the disparity of each small pixel of the left picture, (H, W), in pixels of the full
     one; NaN if none is found, or if the right picture does not show the point.
@@ -317,7 +313,7 @@ def disparities(pair: Pair, picture: Picture) -> FloatArray:
         with problems_in(name):
             check_size(image, pair.camera.width, pair.camera.height)
         cut = image[pair.top : pair.top + height * pair.rows, : width * _SCALE]
-        grey = cut if cut.ndim == 2 else cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
+        grey = cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
         small.append(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))
     left, right = small
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -327,7 +323,7 @@ def disparities(pair: Pair, picture: Picture) -> FloatArray:
     # Matchers leave out the first columns. These have a match here, so both pictures are padded.
     more = pair.n_disparities
     wide = [
-        cv2.copyMakeBorder(image, 0, 0, more, 0, cv2.BORDER_REPLICATE).astype(np.uint8, copy=False)
+        as_image(cv2.copyMakeBorder(image, 0, 0, more, 0, cv2.BORDER_REPLICATE))
         for image in (left, moved)
     ]
     found = pair.match(wide[0], wide[1], more)[:, more:]
@@ -357,7 +353,7 @@ def off_plane(pair: Pair, disparity: FloatArray, plane: FloatArray | None) -> Bo
     away = np.abs(disparity - disparity_at(plane, pair.u, pair.v))
     off = (away > least_px) & (away > least_share * np.abs(disparity))
     grow = 2 * _GROW_PX + 1
-    return np.asarray(cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0)
+    return np.asarray(cv2.dilate(off.astype(np.uint8), rectangle(grow, grow)) > 0)
 
 
 # --- the plane of the road -----------------------------------------------------------------------

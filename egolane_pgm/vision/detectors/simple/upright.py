@@ -56,13 +56,13 @@ _DAYLIGHT = 0.5
 
 
 def is_daylight(camera: Camera, image: Image) -> bool:
-    """Return whether the sky in a picture, (H, W, 3) or (H, W), is about as bright as the road.
+    """Return whether the sky in a picture, (H, W, 3), is about as bright as the road.
 
     A picture without sky counts as taken by day, one that is black all over as taken by night. The
     camera's `ignore` rectangles are left out.
     """
     horizon = max(math.floor(vanishing_point(camera)[1]), 0) // 8
-    red = (image if image.ndim == 2 else image[:, :, 2])[::8, ::8]
+    red = image[::8, ::8, 2]
     rows, columns = (8 * np.arange(n) for n in red.shape)
     shown = is_shown(camera, columns, rows[:, None])
     # The part that headlights light most: neither the bonnet nor far ahead.
@@ -85,8 +85,7 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
     free = np.ones(above.shape, dtype=bool)
     share = number(parameters, "shadow_share")
     near = float(view.x_m[-1])
-    far = float(view.x_m[0])
-    count = int(math.log(far / near) / math.log1p(_FARTHER)) + 1
+    count = int(math.log(view.x_m[0] / near) / math.log1p(_FARTHER)) + 1
     if not share or count < _DARK + _EDGE + _ROAD:
         return free
     x: FloatArray = near * np.power(1 + _FARTHER, np.arange(count, dtype=np.float64))
@@ -113,7 +112,7 @@ def _feet(view: BirdsEye, above: Image, x: FloatArray, left_m: float, share: flo
     - x: (K,) metres ahead of the samples of each ray, increasing
     - left_m: lateral position of the view's first column from the camera
     """
-    row = np.floor((view.x_m[0] - x) / view.along_m + 0.5).astype(np.int64)[:, None]
+    row = _nearest(view.x_m[0] - x, 0.0, view.along_m)[:, None]
     column = _nearest(x[:, None] * _RAYS, left_m, view.across_m)
     inside = (column >= 0) & (column < above.shape[1])
     column = np.where(inside, column, 0)

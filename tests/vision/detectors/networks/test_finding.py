@@ -38,7 +38,7 @@ def test_classes_are_the_continuous_flag_and_probabilities_the_lri(tmp_path: Pat
     kinds = ((-3.4, 1, 0.9), (0.3, 2, 0.6), (3.9, 2, 1.0), (7.5, 3, 0.95), (-7, 1, 0.3))
     path = write_segments(tmp_path, kinds, classes={"dashed": [1], "solid": [2]})
     given = {"network": str(path), "beyond_edge": "keep"}
-    detector = find_detector("network", given, Path.cwd(), "detector")
+    detector = find_detector("network", given, "detector")
     *_, (_, lines) = detect(detector, CAMERA, drive(12))
     np.testing.assert_allclose(lines.offset_m, [-3.4, 0.3, 3.9], atol=0.05)
     assert lines.is_continuous.tolist() == [False, True, True]

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +40,7 @@ def detected(
     camera: Camera, shown: Sequence[Picture], name: str = "ml", **parameters: Any
 ) -> tuple[list[FrameLines], list[str]]:
     """The lines of each picture and the warnings."""
-    detector = runner.find_detector(name, parameters, Path(), "detector")
+    detector = runner.find_detector(name, parameters, "detector")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lines = [found for _, found in runner.detect(detector, camera, shown)]

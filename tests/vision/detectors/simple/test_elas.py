@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,9 +20,7 @@ def test_a_drive_is_followed_with_the_plane_that_elas_shows() -> None:
     pictures = drive(14, stereo=True)
     lines = {}
     for matcher in ("sgbm", "elas"):
-        detector = find_detector(
-            "sl", {"matcher": matcher, "match_rows": 1}, Path.cwd(), "detector"
-        )
+        detector = find_detector("sl", {"matcher": matcher, "match_rows": 1}, "detector")
         *_, (_, lines[matcher]) = detect(detector, SEEN, pictures)
     assert lines["elas"].is_valid.all()
     np.testing.assert_allclose(lines["elas"].offset_m, lines["sgbm"].offset_m, atol=0.1)
@@ -33,11 +30,11 @@ def test_if_elas_is_missing_the_message_has_the_command_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(sys.modules, "elas", None)
-    detector = find_detector("sc", {"matcher": "elas", "match_rows": 1}, Path.cwd(), "detector")
+    detector = find_detector("sc", {"matcher": "elas", "match_rows": 1}, "detector")
     with pytest.raises(InputError, match=r"matcher: elas is not installed: .*\[elas\]'$"):
         start(detector, SEEN)
-    flat = find_detector("sc", {"matcher": "elas", "match_rows": 6}, Path.cwd(), "detector")
+    flat = find_detector("sc", {"matcher": "elas", "match_rows": 6}, "detector")
     with pytest.raises(InputError, match=r"match_rows: 6 leaves .*, and elas needs 64x48"):
         start(flat, SEEN)
     with pytest.raises(InputError, match=r"matcher: 'sgmb' is not one of sgbm, elas"):
-        find_detector("sc", {"matcher": "sgmb"}, Path.cwd(), "detector")
+        find_detector("sc", {"matcher": "sgmb"}, "detector")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from egolane_pgm.vision.camera.picture import Picture
@@ -21,7 +19,7 @@ def test_a_double_line_is_one_continuous_line(name: str, gap_m: float) -> None:
     pictures = [
         Picture(k, road((*double, Paint(1.9, 4.0, 12.0)), 2.7 * k, seed=k)) for k in range(16)
     ]
-    detector = runner.find_detector(name, {}, Path(), "detector")
+    detector = runner.find_detector(name, {}, "detector")
     *_, (_, last) = runner.detect(detector, CAMERA, pictures)
     assert last.offset_m[last.is_valid] == pytest.approx([-1.8, 1.9], abs=0.15)
     assert last.is_continuous[last.is_valid].tolist() == [True, False]

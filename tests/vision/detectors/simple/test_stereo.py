@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,7 +128,7 @@ def test_lines_on_flanks_are_dropped() -> None:
 
 @pytest.mark.parametrize(("mono", "stereo"), [("ml", "sl"), ("mc", "sc")])
 def test_on_an_empty_road_two_cameras_find_the_lines_of_one(mono: str, stereo: str) -> None:
-    steps = [start(find_detector(name, {}, Path.cwd(), "x"), DRAWN) for name in (mono, stereo)]
+    steps = [start(find_detector(name, {}, "x"), DRAWN) for name in (mono, stereo)]
     for k in range(K, K + 4):
         pair = drawn(k).picture
         one, two = (step(pair) for step in steps)
@@ -155,11 +154,11 @@ def test_parameters_and_cameras_that_cannot_be_matched_are_named(
     given_: dict[str, object], camera: Camera, message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        start(find_detector("sl", given_, Path.cwd(), "detector"), camera)
+        start(find_detector("sl", given_, "detector"), camera)
 
 
 def test_a_picture_without_its_pair_is_named() -> None:
-    detector = find_detector("sl", {}, Path.cwd(), "detector")
+    detector = find_detector("sl", {}, "detector")
     message = "detector: sl: frame 7: the picture of the second camera is missing"
     with pytest.raises(InputError, match=message):
         list(detect(detector, DRAWN, [Picture(7, drawn().image)]))
