@@ -238,17 +238,25 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
         np.concatenate(parts, axis=1) for parts in zip(*tracks, strict=True)
     )
     lri, is_valid = line_reliability(is_detected)
+    is_listed = lri > 0
     held, flag = (
         pd.DataFrame(np.where(is_detected, values, np.nan)).ffill().to_numpy()
         for values in (offset, is_continuous)
     )
-    frame, track = np.nonzero(lri > 0)
-    order = np.lexsort((held[frame, track], frame))
-    frame = frame[order]
-    track = track[order]
-    columns: list[Any] = [v[frame, track] for v in (held, is_valid, flag == 1, lri)]
-    return LineLog.from_rows(
-        np.arange(len(road)), road.frame_rate, frame, *columns, source="simulated line detector"
+    offset = np.where(is_listed, held, np.nan)
+    is_continuous = (flag == 1) & is_listed
+
+    n_slots = max(1, int(is_listed.sum(axis=1).max()))
+    order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last
+    frame_id = np.arange(len(is_failing), dtype=np.int64)
+    return LineLog(
+        frame_id,
+        frame_id / road.frame_rate,
+        np.take_along_axis(offset, order, axis=1),
+        np.take_along_axis(is_valid & is_listed, order, axis=1),
+        np.take_along_axis(is_continuous, order, axis=1),
+        np.take_along_axis(np.where(is_listed, lri, np.nan), order, axis=1),
+        source="simulated line detector",
     )
 
 
