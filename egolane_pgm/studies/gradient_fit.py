@@ -200,12 +200,14 @@ def fit_numbers(
     def network_of(x: FloatArray) -> Compiled:
         return with_tables(compiled, tables_of(numbers_at(x)))
 
-    middle = None if centre is None else coordinates(np.asarray(centre))
+    first = coordinates(np.asarray(start))
+    middle = first if centre is None else coordinates(np.asarray(centre))
+    weight = 1.0
 
     def descent(x: FloatArray, gradient: Gradient) -> tuple[float, FloatArray]:
         now = tables_at(x)
-        slope = np.zeros(len(x)) if middle is None else x - middle
-        cost = float((slope * slope).sum()) / 2
+        slope = weight * (x - middle)
+        cost = weight * float(((x - middle) ** 2).sum()) / 2
         by_entry = {
             node: np.divide(g, now[node], out=np.zeros_like(g), where=now[node] > 0)
             for node, g in gradient.items()
@@ -217,12 +219,13 @@ def fit_numbers(
         return cost, slope
 
     ends = list(zip(coordinates(low, OPEN_END), coordinates(high, OPEN_END), strict=True))
-    first = coordinates(np.asarray(start))
     loss_of = evidence_loss if centre is None else label_loss
-    learned, x, slope_at = _minimised(
-        loss_of, network_of, descent, first, ends, data, block, iterations
-    )
+    shared = ends, data, block, iterations
+    learned, x, slope_at = _minimised(loss_of, network_of, descent, first, *shared)
     if centre is None:
+        # The first fit had a prior around the start: a first step without one may end at a bound.
+        weight = 0.0
+        learned, x, _ = _minimised(loss_of, network_of, descent, x, *shared)
         return replace(learned, numbers=numbers_at(x))
     steps = HESSIAN_STEP * np.eye(len(x))
     hessian = np.array([slope_at(x + step) - slope_at(x - step) for step in steps])
