@@ -8,7 +8,7 @@ flagged, and both are ignored.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,11 +64,22 @@ def expected_counts(
     >>> round(expected.counts["Lane", 1].sum())  # the steps between 300 frames
     299
     """
+    found = all_counts(compiled, evidence, known or {}, is_first)
+    return replace(found, counts={node: found.counts[node] for node in counted_tables(compiled)})
+
+
+def all_counts(
+    compiled: Compiled,
+    evidence: Evidence,
+    known: Mapping[str, IntArray],
+    is_first: BoolArray | None,
+) -> Expected:
+    """Return the `expected_counts`, and those of tables that an input selects."""
     index = joint_input(compiled, evidence)
     n_frames = len(evidence)
     n_states = compiled.n_states
     likelihood, log_scale = state_likelihood(compiled, evidence)
-    likelihood *= known_states(compiled, known or {}, n_frames)
+    likelihood *= known_states(compiled, known, n_frames)
     begins = first_frames(n_frames, is_first)
     filtered, log_evidence, is_impossible = forward(compiled, likelihood, log_scale, index, begins)
     likelihood[is_impossible] = 1.0
@@ -78,7 +89,6 @@ def expected_counts(
         filtered, likelihood, compiled.transition, index, begins, smoothed, moves
     )
     counts = counts_of_tables(compiled, evidence, smoothed, moves, begins, is_impossible)
-    counts = {node: counts[node] for node in counted_tables(compiled)}
     return Expected(counts, float(log_evidence.sum()), is_impossible)
 
 

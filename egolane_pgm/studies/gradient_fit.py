@@ -18,7 +18,7 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, counted_tables, with_tables
-from egolane_pgm.inference.expected_counts import expected_counts
+from egolane_pgm.inference.expected_counts import all_counts
 from egolane_pgm.inference.gradient import log_loss_gradient
 from egolane_pgm.studies.em import Data, Learned, strength_of, with_learned
 from egolane_pgm.studies.space import OPEN_END
@@ -245,7 +245,7 @@ def label_loss(compiled: Compiled, data: Data) -> tuple[float, Gradient, BoolArr
 
 def evidence_loss(compiled: Compiled, data: Data) -> tuple[float, Gradient, BoolArray]:
     """Minus the log evidence with the known values, its gradient, and the impossible frames."""
-    found = expected_counts(compiled, *data)
+    found = all_counts(compiled, *data)
     gradient = {node: -counts for node, counts in found.counts.items()}
     return -found.log_evidence, gradient, found.is_impossible
 

@@ -146,6 +146,8 @@ def test_with_labels_the_filter_s_log_loss_is_minimised() -> None:
         assert len(study.fitted) == 8
     assert losses[0] < losses[1]
     assert study.settings["objective"] == "log_evidence"
+    # Numbers of tables that an input selects are fitted as well.
+    assert abs(float(str(study.fitted["many"])) - 0.99) > 1e-3
 
 
 def test_tables_of_several_drives_do_not_depend_on_their_order() -> None:
