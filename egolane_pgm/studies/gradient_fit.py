@@ -195,10 +195,18 @@ def fit_numbers(
         return np.asarray(np.where(logs, np.exp(x), low + (high - low) / (1 + np.exp(-x))))
 
     def tables_at(x: FloatArray) -> dict[SliceNode, FloatArray]:
-        return {table.node: table.values for table in tables_of(numbers_at(x))}
+        found = {}
+        for table in tables_of(numbers_at(x)):
+            # The axes of the compiled network, whose first frame has those of later frames.
+            order = [table.parents.index(p) for p in compiled.tables[table.node].parents]
+            found[table.node] = table.values.transpose(*order, len(order))
+        return found
 
     def network_of(x: FloatArray) -> Compiled:
-        return with_tables(compiled, tables_of(numbers_at(x)))
+        found = tables_at(x).items()
+        return with_tables(
+            compiled, [replace(compiled.tables[n], values=values) for n, values in found]
+        )
 
     first = coordinates(np.asarray(start))
     middle = first if centre is None else coordinates(np.asarray(centre))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,31 @@ def test_six_numbers_end_where_a_direct_search_of_the_same_sum_ends() -> None:
     direct = minimize(cost, fit.numbers, method="Nelder-Mead", bounds=ends, options=tight)
     assert -fit.log_posterior[-1] < direct.fun + 1e-2
     assert fit.log_posterior[-1] > fit.log_posterior[0] + 1
+
+
+def test_a_first_frame_may_list_its_parents_in_another_order() -> None:
+    """Two tables of one node, whose axes differ in the frames that come first and later."""
+    rng = np.random.default_rng(0)
+    rows = rng.dirichlet(np.ones(2), (3, 2))
+    hidden = [*prior("Lane", uniform(3)), *dynamics("Lane", [previous("Lane")], sticky(*[0.9] * 3))]
+    hidden += [*prior("B", uniform(2)), *dynamics("B", [previous("B")], sticky(0.9, 0.9))]
+
+    def tables(numbers: Any, order: tuple[int, int]) -> list[Table]:
+        later = numbers[0] * rows + (1 - numbers[0]) / 2
+        parents = tuple(np.array(["Lane", "B"])[[*order]].tolist())
+        first = (0.3 * later + 0.35).transpose(*order, 2)
+        shown = Table(("S", 0), tuple((name, 0) for name in parents), first)
+        return [*hidden, shown, Table(("S", 1), (("Lane", 1), ("B", 1)), later)]
+
+    evidence = Evidence({"S": rng.random((100, 2))})
+    data = evidence, {"Lane": rng.integers(3, size=100)}, np.arange(100) % 10 == 0
+    found = []
+    for order in ((0, 1), (1, 0)):
+        network = compile_tables(tables([0.5], order), observed=("S",), hidden=("Lane", "B"))
+        of = functools.partial(tables, order=order)
+        found.append(fit_numbers(network, data, of, [0.5], [(0, 1)], [False], centre=[0.5]).numbers)
+    np.testing.assert_allclose(*found)
+    assert abs(found[0] - 0.5) > 1e-3
 
 
 def test_tables_of_a_tiny_prior_lose_less_than_the_truth_and_one_of_a_large_prior_stay() -> None:
