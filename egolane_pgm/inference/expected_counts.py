@@ -88,7 +88,7 @@ def all_counts(
     smooth_kernel(fixed_states(compiled, n_frames))(
         filtered, likelihood, compiled.transition, index, begins, smoothed, moves
     )
-    counts = counts_of_tables(compiled, evidence, smoothed, moves, begins, is_impossible)
+    counts = counts_of_tables(compiled, evidence, index, smoothed, moves, begins, is_impossible)
     return Expected(counts, float(log_evidence.sum()), is_impossible)
 
 
@@ -112,6 +112,7 @@ def known_states(compiled: Compiled, known: Mapping[str, IntArray], n_frames: in
 def counts_of_tables(
     compiled: Compiled,
     evidence: Evidence,
+    index: IntArray,
     states: FloatArray,
     moves: FloatArray,
     begins: BoolArray,
@@ -119,6 +120,7 @@ def counts_of_tables(
 ) -> dict[SliceNode, FloatArray]:
     """Count how often each entry of each table is used, from the counts of joint states.
 
+    - index (T,): the joint value of the inputs.
     - states (T, S): how often each frame has each joint state. moves (U, S, S): how often each
       joint value of the inputs leads from one to another.
     - begins, is_impossible (T,): the first frames of sequences, and the frames without evidence.
@@ -127,7 +129,7 @@ def counts_of_tables(
     slice 1. Functions have none.
     """
     prior = np.zeros_like(compiled.prior)
-    np.add.at(prior, joint_input(compiled, evidence)[begins], states[begins])
+    np.add.at(prior, index[begins], states[begins])
     array_of: dict[str | int, FloatArray] = {"prior": prior, "transition": moves}
     shown = np.where(is_impossible[:, None], 0.0, states)
     # Evidence of a node in the joint state has no table.
@@ -136,8 +138,9 @@ def counts_of_tables(
         if g in targets:
             emission = np.ascontiguousarray(compiled.groups[g].emission.T)
             count = np.zeros_like(emission)
-            n_states = fixed_states(compiled, len(block))
-            count_kernel(n_states and len(emission), n_states)(block, emission, shown, count)
+            is_fixed = fixed_states(compiled, len(block)) > 0
+            sizes = emission.shape if is_fixed else (0, 0)
+            count_kernel(*sizes)(block, emission, shown, count)
             array_of[g] = count.T
     counts: dict[SliceNode, FloatArray] = {}
     for (name, s), place in compiled.places.items():

@@ -94,6 +94,6 @@ def log_loss_gradient(
         probability, states, moves,
     )  # fmt: skip
     loss = -float((counted * np.log(np.maximum(probability, SMALLEST))).sum())
-    counts = counts_of_tables(compiled, evidence, states, moves, begins, is_impossible)
+    counts = counts_of_tables(compiled, evidence, index, states, moves, begins, is_impossible)
     gradient = {node: -count for node, count in counts.items()}
     return LogLoss(loss, gradient, probability, is_impossible)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from egolane_pgm.scoring.scores import SCORES, Statistic
@@ -173,9 +172,9 @@ def block_gains(
     - drives: the number of each recording's drive. Recordings of a drive share blocks.
     """
     found: dict[int, FloatArray] = {}
-    lengths = pd.Series(list(map(len, better))).groupby(list(drives)).min()
     for mine, other, drive in zip(better, worse, drives, strict=True):
-        n_blocks = max(1, lengths[drive] // block)
+        shortest = min(len(each) for each, of in zip(better, drives, strict=True) if of == drive)
+        n_blocks = max(1, shortest // block)
         edges = np.linspace(0, len(mine), n_blocks + 1).astype(int)[:-1]
         whole, left_out = [], []
         for side in (mine, other):
@@ -207,7 +206,7 @@ def beyond_chance(gains: FloatArray) -> tuple[float, FloatArray]:
     if n_blocks < LEAST_BLOCKS:
         return math.inf, np.zeros(len(gains))
     error = gains.std(axis=1) / math.sqrt(n_blocks)
-    is_clear_loss = mean < -error * math.sqrt(2 * math.log(math.log(max(n_blocks, 3))))
+    is_clear_loss = mean < -error * math.sqrt(2 * math.log(math.log(n_blocks)))
     centred = (gains - np.minimum(mean, 0.0)[:, None])[~is_clear_loss]
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (RESAMPLES, n_blocks))

@@ -26,7 +26,6 @@ from egolane_pgm.model import Model, with_own_values
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
-    STRENGTHS,
     TABLES,
     Fit,
     Fitted,
@@ -36,6 +35,7 @@ from egolane_pgm.studies.fits import (
     objective_of_learning,
     posterior_beside_profile,
     search_space,
+    strength_of_learning,
     what_is_learned,
 )
 from egolane_pgm.studies.profile import make_profile, values_of
@@ -520,7 +520,7 @@ def settings_of_study(
         if learns != "rule":
             objective = objective_of_learning(first.model)
             settings["objective"] = objective
-            settings["strength"] = settings["strength"] or STRENGTHS[objective]
+            settings["strength"] = strength_of_learning(first.model, objective, ())
         return settings
     tuning = settings_of(first.experiment.fit, None, first.experiment.source)
     space = search_space([drive.model for drive in drives], tuning)

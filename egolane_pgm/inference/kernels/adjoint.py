@@ -20,7 +20,6 @@ def adjoint_kernel(n_states: int = 0) -> Any:
 
     n_states: number of joint states that it is compiled for; 0 for any number.
     """
-    n_known = n_states
 
     @kernel(fastmath={"contract"}, error_model="numpy")
     def adjoint(
@@ -50,7 +49,7 @@ def adjoint_kernel(n_states: int = 0) -> Any:
             also of the prior).
         moves (U, S, S): the derivatives by the logarithm of each transition are added.
         """
-        n = n_known if n_known else filtered.shape[1]
+        n = n_states if n_states else filtered.shape[1]
         # One array, so that the compiler sees that its parts do not overlap. `backward` is the
         # transposed transition; `slope` the derivative by the belief of a frame.
         work = np.zeros(2 * n * n + 2 * n)

@@ -15,7 +15,6 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 @lru_cache(maxsize=64)
 def smooth_kernel(n_states: int = 0) -> Any:
     """The backward recursion, compiled for a number of joint states; 0 for any number."""
-    n_known = n_states
 
     # Of fast arithmetic only the fusing of a multiplication with an addition, as in the filter.
     @kernel(fastmath={"contract"}, error_model="numpy")
@@ -41,7 +40,7 @@ def smooth_kernel(n_states: int = 0) -> Any:
         ignored.
         """
         n_frames = filtered.shape[0]
-        n = n_known if n_known else filtered.shape[1]
+        n = n_states if n_states else filtered.shape[1]
         # One array, so that the compiler sees that its parts do not overlap. `backward` is the
         # transposed transition, whose rows are added up as vectors; `ahead` is P(evidence after the
         # frame | its state), divided by the largest one.
@@ -94,10 +93,8 @@ smooth_frames = smooth_kernel()
 
 
 @lru_cache(maxsize=64)
-def count_kernel(n_values: int = 0, n_states: int = 0) -> Any:
+def count_kernel(known_values: int = 0, known_states: int = 0) -> Any:
     """The counts of a group's values, compiled for its sizes; 0 for any size."""
-    known_values = n_values
-    known_states = n_states
 
     @kernel(fastmath={"contract"}, error_model="numpy")
     def count_values(
@@ -109,33 +106,33 @@ def count_kernel(n_values: int = 0, n_states: int = 0) -> Any:
             states.
         counts (K, S): states * P(value | state) e(value) / P(e | state) is added.
         """
-        n_value = known_values if known_values else emission.shape[0]
-        n_state = known_states if known_states else emission.shape[1]
+        n_values = known_values if known_values else emission.shape[0]
+        n_states = known_states if known_states else emission.shape[1]
         # One array, so that the compiler sees that its parts do not overlap.
-        work = np.zeros(n_value * n_state + n_state)
-        shown = work[: n_value * n_state]
-        weight = work[n_value * n_state :]
+        work = np.zeros(n_values * n_states + n_states)
+        shown = work[: n_values * n_states]
+        weight = work[n_values * n_states :]
         for t in range(block.shape[0]):
             largest = 0.0
-            for k in range(n_value):
+            for k in range(n_values):
                 largest = max(largest, block[t, k])
             if largest <= 0.0:
                 continue
-            for s in range(n_state):
+            for s in range(n_states):
                 weight[s] = 0.0
-            for k in range(n_value):
+            for k in range(n_values):
                 share = block[t, k] / largest
-                for s in range(n_state):
+                for s in range(n_states):
                     weight[s] += share * emission[k, s]
-            for s in range(n_state):
+            for s in range(n_states):
                 weight[s] = states[t, s] / weight[s] if weight[s] >= LEAST else 0.0
-            for k in range(n_value):
+            for k in range(n_values):
                 share = block[t, k] / largest
-                for s in range(n_state):
-                    shown[k * n_state + s] += share * weight[s]
-        for k in range(n_value):
-            for s in range(n_state):
-                counts[k, s] += emission[k, s] * shown[k * n_state + s]
+                for s in range(n_states):
+                    shown[k * n_states + s] += share * weight[s]
+        for k in range(n_values):
+            for s in range(n_states):
+                counts[k, s] += emission[k, s] * shown[k * n_states + s]
 
     return count_values
 
